@@ -1,0 +1,73 @@
+"""The table of fields: every array of the simulation, declared once.
+
+Allocation, ghost exchange, remap, checkpoint and output all follow from this table, so a new field
+is one new row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+CELL, NODE = "cell", "node"
+
+
+@dataclass(frozen=True)
+class Field:
+    """One scalar array.
+
+    ``mirror_sign`` holds, per axis (x, y, z), the sign that a component takes in the mirror image
+    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal).
+    """
+
+    name: str
+    location: str
+    unit: str
+    text: str
+    advected: bool = False
+    ghosted: bool = False
+    saved: bool = False
+    shown: bool = False
+    mirror_sign: tuple[int, int, int] = (1, 1, 1)
+
+
+def _stress(component: str, sign: tuple[int, int, int]) -> Field:
+    return Field(f"stress_{component}", CELL, "Pa", f"deviatoric Cauchy stress, {component} component",
+                 advected=True, ghosted=True, saved=True, mirror_sign=sign)
+
+
+def _velocity(axis: str, sign: tuple[int, int, int]) -> Field:
+    return Field(f"velocity_{axis}", NODE, "m/s", f"{axis} velocity of the node",
+                 advected=True, ghosted=True, saved=True, mirror_sign=sign)
+
+
+FIELDS: tuple[Field, ...] = (
+    Field("mass", CELL, "1", "mass in the cell over the mass of a full cell at zero pressure",
+          advected=True, ghosted=True, saved=True),
+    Field("volume_fraction", CELL, "1", "volume of material over volume of the cell",
+          advected=True, ghosted=True, saved=True, shown=True),
+    _stress("xx", (1, 1, 1)),
+    _stress("yy", (1, 1, 1)),
+    _stress("zz", (1, 1, 1)),
+    _stress("xy", (-1, -1, 1)),
+    _stress("yz", (1, -1, -1)),
+    _stress("xz", (-1, 1, -1)),
+    Field("peeq", CELL, "1", "equivalent plastic strain",
+          advected=True, ghosted=True, saved=True, shown=True),
+    Field("temperature", CELL, "K", "temperature",
+          advected=True, ghosted=True, saved=True, shown=True),
+    Field("internal_energy", CELL, "J/kg", "specific internal energy (Mie-Grueneisen pressure only)",
+          advected=True, ghosted=True, saved=True),
+    _velocity("x", (-1, 1, 1)),
+    _velocity("y", (1, -1, 1)),
+    _velocity("z", (1, 1, -1)),
+)
+
+BY_NAME = {field.name: field for field in FIELDS}
+
+STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
+VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
+
+
+def needed(mie_grueneisen: bool) -> tuple[Field, ...]:
+    """Return the fields that a scene needs; the rest are neither allocated nor exchanged."""
+    return tuple(f for f in FIELDS if f.name != "internal_energy" or mie_grueneisen)

@@ -1,0 +1,135 @@
+"""The one module that talks to MPI: the communicator, exact reductions, and the abort hook.
+
+Every reduction that can reach the state of a run is exact (minimum, maximum, integer sum), so the
+number of ranks cannot change a bit of the result.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from types import TracebackType
+from typing import TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+from f2s_hpc.errors import F2SError
+
+ROOT = 0
+Value = TypeVar("Value")
+
+
+def world() -> MPI.Intracomm:
+    """Return the communicator of the run (all ranks)."""
+    return MPI.COMM_WORLD
+
+
+def rank() -> int:
+    """Return this process's rank."""
+    return MPI.COMM_WORLD.Get_rank()
+
+
+def size() -> int:
+    """Return the number of ranks."""
+    return MPI.COMM_WORLD.Get_size()
+
+
+def is_root() -> bool:
+    """Tell whether this is rank 0, the one that reads, prints and coordinates."""
+    return rank() == ROOT
+
+
+def barrier() -> None:
+    """Wait for all ranks."""
+    MPI.COMM_WORLD.Barrier()
+
+
+def broadcast(value: Value) -> Value:
+    """Return rank 0's ``value`` on every rank (any picklable object)."""
+    return MPI.COMM_WORLD.bcast(value, root=ROOT)
+
+
+def gather(value: Value) -> list[Value] | None:
+    """Return the list of every rank's ``value`` on rank 0, ``None`` elsewhere."""
+    return MPI.COMM_WORLD.gather(value, root=ROOT)
+
+
+def all_gather(value: Value) -> list[Value]:
+    """Return the list of every rank's ``value`` on every rank, in rank order."""
+    return MPI.COMM_WORLD.allgather(value)
+
+
+def _reduced(value, operation: MPI.Op):
+    local = np.ascontiguousarray(value)
+    if size() == 1:
+        return local.copy() if local.ndim else local[()]
+    total = np.empty_like(local)
+    MPI.COMM_WORLD.Allreduce(local, total, op=operation)
+    return total if total.ndim else total[()]
+
+
+def minimum(value):
+    """Return the element-wise minimum over the ranks (scalar or array; exact)."""
+    return _reduced(value, MPI.MIN)
+
+
+def maximum(value):
+    """Return the element-wise maximum over the ranks (scalar or array; exact)."""
+    return _reduced(value, MPI.MAX)
+
+
+def total(value):
+    """Return the element-wise sum over the ranks. Exact, hence rank-independent, for integers only."""
+    return _reduced(value, MPI.SUM)
+
+
+def any_rank(flag: bool) -> bool:
+    """Tell every rank whether ``flag`` is true on at least one."""
+    return bool(maximum(np.int64(flag)))
+
+
+def run_together(task, *arguments):
+    """Call ``task`` on rank 0 only; return its value, or raise its error, on every rank.
+
+    Used where rank 0 reads input: a bad file then ends all ranks the same way.
+    """
+    outcome, failure = None, None
+    if is_root():
+        try:
+            outcome = task(*arguments)
+        except F2SError as error:
+            failure = error
+    outcome, failure = broadcast((outcome, failure))
+    if failure is not None:
+        raise failure
+    return outcome
+
+
+def install_abort_hook() -> None:
+    """Make an uncaught exception on any rank end the whole job instead of hanging the others.
+
+    ``python -m mpi4py`` does not do this once petsc4py is imported, hence a hook of our own.
+    """
+    if size() == 1:
+        return
+
+    def abort(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        sys.stdout.flush()
+        lines = traceback.format_exception(kind, error, trace)
+        sys.stderr.write(f"[rank {rank()}] " + "".join(lines))
+        sys.stderr.flush()
+        MPI.COMM_WORLD.Abort(1)
+
+    sys.excepthook = abort
+
+
+def library_version() -> str:
+    """Return the name and version of the MPI library, one line."""
+    return MPI.Get_library_version().split(",")[0].strip("\x00 \n")
+
+
+def launched_by_mpirun() -> bool:
+    """Tell whether a launcher (Open MPI, MPICH, SLURM) started this process."""
+    return any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_PROCID", "PMIX_RANK"))
