@@ -40,6 +40,10 @@ def _velocity(axis: str, sign: tuple[int, int, int]) -> Field:
                  advected=True, ghosted=True, saved=True, mirror_sign=sign)
 
 
+def _work(name: str, unit: str, text: str) -> Field:
+    return Field(name, NODE, unit, text)
+
+
 FIELDS: tuple[Field, ...] = (
     Field("mass", CELL, "1", "mass in the cell over the mass of a full cell at zero pressure",
           advected=True, ghosted=True, saved=True),
@@ -60,14 +64,31 @@ FIELDS: tuple[Field, ...] = (
     _velocity("x", (-1, 1, 1)),
     _velocity("y", (1, -1, 1)),
     _velocity("z", (1, 1, -1)),
+    _work("nodal_mass", "1", "mass of the node over that of a node among full cells"),
+    _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange"),
+    _work("force_y", "N", "y force on the node; likewise"),
+    _work("force_z", "N", "z force on the node; likewise"),
+    _work("sweep_x", "1", "volume (in cells) swept in the step by the low x face of the cell"),
+    _work("sweep_y", "1", "volume (in cells) swept in the step by the low y face of the cell"),
+    _work("sweep_z", "1", "volume (in cells) swept in the step by the low z face of the cell"),
+    _work("volume_flux", "1", "material volume (in cells) through the low face in the present sweep; heat in conduction"),
+    _work("mass_flux", "1", "mass (in full cells) through the low face of the cell in the present sweep"),
+    _work("dual_flux", "1", "mass (in full nodes) through the low side of the node in the present sweep"),
 )
 
 BY_NAME = {field.name: field for field in FIELDS}
 
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
+FORCE = ("force_x", "force_y", "force_z")
+SWEEP = ("sweep_x", "sweep_y", "sweep_z")
 
 
 def needed(mie_grueneisen: bool) -> tuple[Field, ...]:
     """Return the fields that a scene needs; the rest are neither allocated nor exchanged."""
     return tuple(f for f in FIELDS if f.name != "internal_energy" or mie_grueneisen)
+
+
+def bytes_per_cell(mie_grueneisen: bool) -> float:
+    """Return the memory of all fields per cell that is touched (bytes)."""
+    return 8.0 * len(needed(mie_grueneisen))

@@ -18,6 +18,8 @@ from mpi4py import MPI
 from f2s_hpc.errors import F2SError
 
 ROOT = 0
+DOUBLE = MPI.DOUBLE
+REPLACE = MPI.REPLACE
 Value = TypeVar("Value")
 
 

@@ -1,0 +1,110 @@
+"""The text that ``f2s check`` prints: the resolved scene and what running it will take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from f2s_hpc import fields
+from f2s_hpc.config.dump import dump_scene, scene_hash
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.units import pretty, pretty_bytes
+
+
+def estimated_time_step(scene: Scene) -> float:
+    """Return courant dx / (c_L + particle speed), s: what the acoustic limit allows at impact."""
+    fastest = scene.material.longitudinal_sound_speed + scene.particles.speed
+    return scene.numerics.courant * scene.domain.cell_size / fastest
+
+
+def frame_count(scene: Scene) -> int:
+    """Return the number of frames that a whole run writes: after each cycle, and at the extra interval."""
+    after_cycles = scene.cycles.count if scene.output.frames == "cycle" else 0
+    interval = scene.output.frame_interval
+    return after_cycles + (math.floor(scene.cycles.total_time / interval) if interval else 0)
+
+
+def frame_bytes(scene: Scene) -> int:
+    """Return the size of one frame before compression: 4 bytes per cell and field."""
+    return 4 * math.prod(scene.domain.cells) * len(scene.output.fields)
+
+
+def checkpoint_bytes(scene: Scene) -> int:
+    """Return the size of one checkpoint: 8 bytes per cell or node and saved field."""
+    cells = math.prod(scene.domain.cells)
+    nodes = math.prod(n + 1 for n in scene.domain.cells)
+    saved = [f for f in fields.needed(scene.mie_grueneisen) if f.saved]
+    return 8 * sum(nodes if f.location == fields.NODE else cells for f in saved)
+
+
+def particle_count(scene: Scene) -> int | None:
+    """Return how many particles the whole run paints; None where only the CSV files tell."""
+    batches = scene.batches
+    if batches.source == "files":
+        return None
+    per_batch = len(batches.spheres) if batches.source == "spheres" else batches.particles
+    return per_batch * (batches.number if scene.scheme == "standard" else scene.cycles.count)
+
+
+def _count(number: float, noun: str) -> str:
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")
+
+
+def _grid(cells: Sequence[int]) -> str:
+    return " x ".join(str(n) for n in cells)
+
+
+def _particles_line(scene: Scene, particles: int | None, painted_volume: float | None) -> str:
+    batches = scene.batches
+    text = {"files": f"{_count(batches.number, 'batch file')}",
+            "spheres": f"{_count(len(batches.spheres), 'listed sphere')}",
+            "generated": f"batches to generate: {batches.number:,} of {_count(batches.particles, 'particle')}, "
+                         f"seed {batches.seed}"}[batches.source]
+    total = particle_count(scene) if particles is None else particles
+    text += "" if total is None else f"; {_count(total, 'particle')} in the whole run"
+    if painted_volume is not None:
+        area = scene.domain.extents[0] * scene.domain.extents[1]
+        text += (f"; painted volume {pretty(painted_volume, 'volume')}, "
+                 f"{pretty(painted_volume / area, 'length')} of dense height")
+    return text
+
+
+def _parts(cells_per_rank: Sequence[tuple[int, int, int]], bytes_per_cell: float) -> list[tuple[str, str]]:
+    counts = [math.prod(cells) for cells in cells_per_rank]
+    small, large = min(cells_per_rank, key=math.prod), max(cells_per_rank, key=math.prod)
+    spread = _grid(small) if small == large else f"{_grid(small)} to {_grid(large)}"
+    most, all_ranks = pretty_bytes(max(counts) * bytes_per_cell), pretty_bytes(sum(counts) * bytes_per_cell)
+    return [("cells per rank", f"{spread}  ({min(counts):,} to {max(counts):,})"),
+            ("memory", f"{most} on the largest rank, {all_ranks} in all")]
+
+
+def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]], bytes_per_cell: float,
+             painted_volume: float | None = None, particles: int | None = None) -> str:
+    """Return the text of ``f2s check``: the resolved scene, then sizes, time step and output.
+
+    ``cells_per_rank`` are the cells (x, y, z) owned by each rank, ``bytes_per_cell`` the memory of the
+    arrays. ``painted_volume`` (m3) and ``particles`` of the whole run are printed where known.
+    """
+    step = estimated_time_step(scene)
+    total = scene.cycles.total_time
+    frames, checkpoints = frame_count(scene), scene.output.keep_checkpoints
+    cells = math.prod(scene.domain.cells)
+    box = " x ".join(pretty(length, "length", 6) for length in scene.domain.extents)
+    rows = [
+        ("box", box),
+        ("cells", f"{_grid(scene.domain.cells)} = {cells:,} of {pretty(scene.domain.cell_size, 'length')}"),
+        ("ranks", f"{ranks}"),
+        *_parts(cells_per_rank, bytes_per_cell),
+        ("particles", _particles_line(scene, particles, painted_volume)),
+        ("cycles", f"{_count(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
+        ("time step", f"about {pretty(step, 'time', 3)} (longitudinal waves at "
+                      f"{scene.material.longitudinal_sound_speed:.0f} m/s)"),
+        ("steps", f"about {math.ceil(total / step):,}"),
+        ("frames", f"{frames:,} of {pretty_bytes(frame_bytes(scene))}, "
+                   f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression"),
+        ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
+         if scene.output.checkpoints else "none"),
+        ("configuration", f"sha256 {scene_hash(scene)[:16]}"),
+    ]
+    width = max(len(name) for name, _ in rows) + 2
+    return dump_scene(scene) + "\n" + "\n".join(f"# {name:<{width}}{text}" for name, text in rows) + "\n"

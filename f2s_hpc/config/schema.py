@@ -1,0 +1,284 @@
+"""Schema of a scene: what may be written, in which unit and range. After loading every number is SI."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from f2s_hpc import fields, units
+from f2s_hpc.config.material import JohnsonCookFlowStress, Material, MieGrueneisenPressure
+from f2s_hpc.config.quantities import (Length, LengthOrZero, Number, PositiveLength, Section, Speed, Switch,
+                                       Temperature, Time, Whole, wrong)
+
+Face = Literal["symmetry", "fixed", "free", "outflow"]
+DERIVED_FIELDS = ("pressure", "von_mises", "speed")
+SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
+MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
+
+
+def _length(value: float) -> str:
+    return units.pretty(value, "length", 6)
+
+
+class Faces(Section):
+    """Condition on each side of the box."""
+
+    x_low: Face = Field(default="symmetry", description="side at x = 0")
+    x_high: Face = Field(default="symmetry", description="side at the largest x")
+    y_low: Face = Field(default="symmetry", description="side at y = 0")
+    y_high: Face = Field(default="symmetry", description="side at the largest y")
+    z_low: Face = Field(default="fixed", description="bottom")
+    z_high: Face = Field(default="fixed", description="top")
+
+
+class Domain(Section):
+    """The box: substrate at the bottom, the layer where batches are painted at the top."""
+
+    size: tuple[PositiveLength, PositiveLength, PositiveLength] = Field(
+        description="edge lengths (x, y, z) of the box, m; rounded to whole cells")
+    cell_size: PositiveLength = Field(description="edge length of the cubic cells, m")
+    substrate_height: LengthOrZero = Field(description="height of the substrate, m")
+    particle_layer_height: PositiveLength = Field(description="height of the particle layer at the top, m")
+    faces: Faces = Field(default_factory=Faces, description="condition on each side")
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        """Number of cells (nx, ny, nz)."""
+        return tuple(max(1, round(length / self.cell_size)) for length in self.size)
+
+    @property
+    def extents(self) -> tuple[float, float, float]:
+        """Edge lengths of the box that is computed: whole cells, m."""
+        return tuple(n * self.cell_size for n in self.cells)
+
+    @property
+    def layer_bottom(self) -> float:
+        """Height of the bottom of the particle layer above the bottom of the box, m."""
+        return self.extents[2] - self.particle_layer_height
+
+    @model_validator(mode="after")
+    def _possible(self) -> Domain:
+        smallest, height = min(self.size), self.size[2]
+        if self.cell_size > smallest:
+            raise wrong("cell_size", f"is larger than the box ({_length(smallest)} in its shortest direction)")
+        count = math.prod(self.cells)
+        if count > MAX_CELLS:
+            raise wrong("cell_size", f"gives {count:.3g} cells, {MAX_CELLS:.3g} are possible; is its unit right?")
+        if self.substrate_height >= height:
+            raise wrong("substrate_height", f"must be lower than the box ({_length(height)})")
+        room = height - self.substrate_height
+        if self.particle_layer_height > room * (1.0 + 1e-12):
+            raise wrong("particle_layer_height", f"does not fit: {_length(room)} is left above the substrate; "
+                                                 "a higher domain.size[2] makes room")
+        return self
+
+
+class Substrate(Section):
+    """The substrate at the start."""
+
+    temperature: Temperature = Field(default=298.15, description="initial temperature, K")
+
+
+class Particles(Section):
+    """The particles at the moment they are painted."""
+
+    speed: Speed = Field(description="speed, m/s")
+    direction: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, -1.0),
+                                                     description="flight direction (x, y, z); normalised")
+    temperature: Temperature = Field(description="initial temperature, K")
+
+    @field_validator("direction")
+    @classmethod
+    def _normalised(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        norm = math.hypot(*value)
+        if norm == 0.0:
+            raise ValueError("must not be the zero vector")
+        # a vector that is already normalised keeps its bits, so that a dumped scene loads back equal
+        return value if abs(norm - 1.0) < 1e-14 else tuple(v / norm for v in value)
+
+    @property
+    def velocity(self) -> tuple[float, float, float]:
+        """Velocity (x, y, z), m/s."""
+        return tuple(self.speed * d for d in self.direction)
+
+
+class Batches(Section):
+    """The spheres: read from files, listed here, or generated from a seed."""
+
+    count: Whole = Field(default=0, ge=0, description="number of batches to generate")
+    particles: Whole = Field(default=0, ge=0, description="particles in each generated batch")
+    files: tuple[str, ...] = Field(default=(), description="CSV files (x,y,z,r in mm), one per batch")
+    spheres: tuple[tuple[Length, Length, Length, PositiveLength], ...] = Field(
+        default=(), description="spheres [x, y, z, r], m; z from the bottom of the particle layer")
+    seed: Whole = Field(default=1, ge=0, lt=2**63, description="seed of sizes, positions and order")
+    gap_factor: Number = Field(default=1.02, ge=1, description="least centre distance over the sum of radii")
+    attempts: Whole = Field(default=2000, ge=1, description="tries to place one sphere before giving up")
+    diameter_d10: PositiveLength = Field(default=19e-6, description="10 % of the volume is in smaller particles, m")
+    diameter_d50: PositiveLength = Field(default=30e-6, description="50 % of the volume is in smaller particles, m")
+    diameter_d90: PositiveLength = Field(default=52e-6, description="90 % of the volume is in smaller particles, m")
+    diameter_min: PositiveLength = Field(default=10e-6, description="smallest particle, m")
+    diameter_max: PositiveLength = Field(default=85e-6, description="largest particle, m")
+    shuffle: Switch = Field(default=True, description="shuffle the order of the batches once, from the seed")
+
+    @property
+    def source(self) -> Literal["files", "spheres", "generated"]:
+        """Where the spheres come from."""
+        return "files" if self.files else "spheres" if self.spheres else "generated"
+
+    @property
+    def number(self) -> int:
+        """Number of different batches."""
+        return len(self.files) if self.files else 1 if self.spheres else self.count
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Batches:
+        given = [name for name, there in (("files", self.files), ("spheres", self.spheres),
+                                          ("count and particles", self.count * self.particles)) if there]
+        if not given:
+            raise wrong("", "no particles: give files, or spheres, or both count and particles above 0")
+        if len(given) > 1:
+            raise wrong("", f"{' and '.join(given)} are given; keep exactly one source of particles")
+        sizes = ("diameter_min", "diameter_d10", "diameter_d50", "diameter_d90", "diameter_max")
+        for low, high in zip(sizes, sizes[1:]):
+            if getattr(self, low) >= getattr(self, high):
+                raise wrong(high, f"must be above {low} ({_length(getattr(self, low))})")
+        return self
+
+
+class Cycles(Section):
+    """Each cycle paints one batch and runs for its duration."""
+
+    count: Whole = Field(ge=1, description="number of cycles")
+    duration: Time = Field(description="duration of each cycle but the last, s")
+    last_duration: Time = Field(default_factory=lambda data: data["duration"],
+                                description="duration of the last cycle, s; default: as the others")
+
+    @property
+    def durations(self) -> tuple[float, ...]:
+        """Duration of every cycle, s."""
+        return (self.duration,) * (self.count - 1) + (self.last_duration,)
+
+    @property
+    def total_time(self) -> float:
+        """Simulated time of the whole run, s."""
+        return self.duration * (self.count - 1) + self.last_duration
+
+
+class Numerics(Section):
+    """The scheme's own numbers; the defaults are the measured choice."""
+
+    courant: Number = Field(default=0.5, gt=0, lt=1, description="time step over its stability limit")
+    strain_per_step: Number = Field(default=0.1, gt=0, le=1, description="largest strain increment in a step")
+    shock_viscosity_linear: Number = Field(default=0.06, ge=0, le=10, description="linear shock viscosity")
+    shock_viscosity_quadratic: Number = Field(default=1.2, ge=0, le=10, description="quadratic shock viscosity")
+    hourglass: Number = Field(default=0.005, ge=0, le=1, description="hourglass control strength")
+    exchange_strength: Number = Field(default=0.03, ge=0, le=0.5, description="momentum exchange of light nodes")
+    exchange_mass_limit: Number = Field(default=0.3, ge=0, le=1,
+                                        description="nodes lighter than this share of a full one exchange momentum")
+    light_mass_floor: Number = Field(default=0.05, gt=0, lt=1,
+                                     description="least mass that divides a force, over a full node's mass")
+    speed_cap_factor: Number = Field(default=2.0, ge=1,
+                                     description="speed cap of light nodes over the largest particle speed")
+    conduction: Switch = Field(default=True, description="heat conduction")
+    remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
+    dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
+
+
+class Output(Section):
+    """What is written while running."""
+
+    fields: tuple[str, ...] = Field(default=("volume_fraction", "peeq", "temperature", "von_mises", "speed"),
+                                    min_length=1, description="fields of the frames")
+    frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
+    frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
+    checkpoints: Switch = Field(default=True, description="a checkpoint after each cycle")
+    keep_checkpoints: Whole = Field(default=2, ge=1, description="number of checkpoints kept")
+    progress_seconds: Time = Field(default=5.0, description="wall time between progress lines, s")
+    picture: Switch = Field(default=True, description="a picture at the end")
+
+    @field_validator("fields")
+    @classmethod
+    def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for name in value:
+            if name not in SHOWN_FIELDS:
+                raise ValueError(f'there is no field "{name}"; possible: {", ".join(SHOWN_FIELDS)}')
+        if len(set(value)) < len(value):
+            raise ValueError("a field is named twice")
+        return value
+
+
+class Run(Section):
+    """The run itself."""
+
+    wall_time: Time | None = Field(default=None, description="wall time after which the run stops with a checkpoint, s")
+
+
+def _check_spheres(scene: Scene) -> None:
+    """Raise if listed spheres leave the particle layer or overlap, or generated ones cannot fit."""
+    domain, batches = scene.domain, scene.batches
+    layer = domain.particle_layer_height
+    if batches.source == "generated":
+        room = layer / batches.count if scene.scheme == "standard" else layer
+        if room < batches.diameter_max:
+            raise wrong("domain.particle_layer_height", f"leaves {_length(room)} per batch, less than "
+                                                        f"batches.diameter_max ({_length(batches.diameter_max)})")
+    slack = 1e-9 * layer
+    for index, (x, y, z, r) in enumerate(batches.spheres):
+        key = f"batches.spheres[{index}]"
+        if z - r < -slack or z + r > layer + slack:
+            raise wrong(key, f"spans {_length(z - r)} to {_length(z + r)} above the bottom of the particle layer, "
+                             f"which ends at {_length(layer)}")
+        if not (0.0 <= x <= domain.size[0] and 0.0 <= y <= domain.size[1]):
+            raise wrong(key, "has its centre outside the box; x and y count from the low sides of the box")
+        for other, (x2, y2, z2, r2) in enumerate(batches.spheres[:index]):
+            if math.dist((x, y, z), (x2, y2, z2)) < (r + r2) * (1.0 - 1e-9):
+                raise wrong(key, f"overlaps batches.spheres[{other}]")
+
+
+def _check_temperatures(scene: Scene) -> None:
+    """Raise if something is molten at the start."""
+    melting = scene.melting_temperature
+    for key, value in (("particles.temperature", scene.particles.temperature),
+                       ("substrate.temperature", scene.substrate.temperature)):
+        if melting is not None and value >= melting:
+            raise wrong(key, f"must be below the melting temperature ({units.pretty(melting, 'temperature')})")
+
+
+class Scene(Section):
+    """All of a simulation."""
+
+    title: str = Field(min_length=1, description="what the scene shows")
+    scheme: Literal["recurring", "standard"] = Field(
+        default="recurring", description="one batch per cycle, or all batches at once in one tall box")
+    domain: Domain = Field(description="the box")
+    material: Material = Field(description="the material of particles and substrate")
+    substrate: Substrate = Field(default_factory=Substrate, description="the substrate at the start")
+    particles: Particles = Field(description="the particles when painted")
+    batches: Batches = Field(description="the spheres")
+    cycles: Cycles = Field(description="number and duration of the cycles")
+    numerics: Numerics = Field(default_factory=Numerics, description="the scheme's own numbers")
+    output: Output = Field(default_factory=Output, description="what is written")
+    run: Run = Field(default_factory=Run, description="the run itself")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        _check_spheres(self)
+        _check_temperatures(self)
+        if self.scheme == "standard" and self.cycles.count != 1:
+            raise wrong("cycles.count", "must be 1 in the standard scheme, which paints all batches at once")
+        if "internal_energy" in self.output.fields and not self.mie_grueneisen:
+            raise wrong("output.fields", 'internal_energy exists only with material.pressure.model = "mie_grueneisen"')
+        return self
+
+    @property
+    def mie_grueneisen(self) -> bool:
+        """Does the pressure depend on the internal energy?"""
+        return isinstance(self.material.pressure, MieGrueneisenPressure)
+
+    @property
+    def melting_temperature(self) -> float | None:
+        """Melting temperature, K, where the flow stress has one."""
+        flow = self.material.flow_stress
+        return flow.melting_temperature if isinstance(flow, JohnsonCookFlowStress) else None

@@ -1,0 +1,83 @@
+"""The physical sides of the box: what lies behind them and what they hold.
+
+symmetry   mirror image behind the face, no normal velocity on it
+fixed      mirror image behind the face, no velocity on it
+free       nothing behind the face: no traction, material may leave, nothing enters
+outflow    the last layer repeated behind the face: material may leave, nothing enters
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.grid.box import GHOST, SIDES, Part
+from f2s_hpc.kernels.sides import COPY, MIRROR, VOID, block_inflow, fill_side
+
+_CELL_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": VOID, "outflow": COPY}
+_NODE_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": COPY, "outflow": COPY}
+
+
+class Boundary:
+    """The sides of the box that this rank touches.
+
+    ``kinds``: per side of :data:`f2s_hpc.grid.box.SIDES` one of the four kinds above.
+    ``weights``: per axis, the share of each local node plane that lies inside the box.
+    ``free_motion[axis, component, plane]``: 0 where a wall holds that velocity component.
+    """
+
+    def __init__(self, part: Part, kinds: dict[str, str]) -> None:
+        self.part = part
+        self.kinds = {side: kinds[side] for side in SIDES}
+        self.touched = [side for axis in range(3) for side in SIDES[2 * axis:2 * axis + 2]
+                        if (part.at_high if side.endswith("high") else part.at_low)[axis]]
+        planes = part.node_shape[::-1]
+        self.weights = tuple(np.ones(n) for n in planes)
+        self.free_motion = np.ones((3, 3, max(planes)))
+        for side in self.touched:
+            axis, kind = SIDES.index(side) // 2, self.kinds[side]
+            wall = self.wall_plane(side)
+            if kind != "free":
+                self.weights[axis][wall] = 0.5
+            if kind == "symmetry":
+                self.free_motion[axis, axis, wall] = 0.0
+            elif kind == "fixed":
+                self.free_motion[axis, :, wall] = 0.0
+
+    def wall_plane(self, side: str) -> int:
+        """Return the local index of the node (and face) plane that lies on ``side``."""
+        axis = SIDES.index(side) // 2
+        return GHOST + (self.part.count[axis] if side.endswith("high") else 0)
+
+    def fill(self, views: dict[str, np.ndarray], names: Sequence[str]) -> None:
+        """Fill the ghosts of the named fields behind every touched side, x first, then y, then z."""
+        for side in self.touched:
+            axis, high = SIDES.index(side) // 2, side.endswith("high")
+            wall = self.wall_plane(side)
+            for name in names:
+                field = BY_NAME[name]
+                on_nodes = field.location != CELL
+                rule = (_NODE_RULE if on_nodes else _CELL_RULE)[self.kinds[side]]
+                edge = wall if on_nodes or not high else wall - 1
+                fill_side(views[name], axis, high, edge, GHOST, on_nodes, rule, float(field.mirror_sign[axis]))
+
+    def hold(self, velocity: Sequence[np.ndarray]) -> None:
+        """Set to zero the velocity components that the touched walls hold."""
+        for side in self.touched:
+            axis, wall = SIDES.index(side) // 2, self.wall_plane(side)
+            for component, array in enumerate(velocity):
+                if self.free_motion[axis, component, wall] == 0.0:
+                    array[(slice(None),) * (2 - axis) + (wall,)] = 0.0
+
+    def stop_inflow(self, axis: int, flux: np.ndarray, mass_flux: np.ndarray) -> None:
+        """Let nothing enter through the outflow sides normal to ``axis``."""
+        for side in self.touched:
+            if SIDES.index(side) // 2 == axis and self.kinds[side] == "outflow":
+                block_inflow(flux, mass_flux, axis, self.wall_plane(side), 1.0 if side.endswith("high") else -1.0)
+
+    def open_sides(self, axis: int) -> list[str]:
+        """Return the touched sides normal to ``axis`` through which material may leave."""
+        return [side for side in self.touched
+                if SIDES.index(side) // 2 == axis and self.kinds[side] in ("free", "outflow")]

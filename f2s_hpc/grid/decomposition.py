@@ -1,0 +1,111 @@
+"""The PETSc DMDAs that distribute the box, and the ghost map read off them.
+
+Two DMDAs, one of cells and one of nodes, with matching ownership: the node DMDA takes the ranges of
+the cells, with one node more on the last rank of each axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import petsc4py
+
+petsc4py.init([])
+from petsc4py import PETSc  # noqa: E402  (PETSc reads its options at import)
+
+from f2s_hpc import mpi  # noqa: E402
+from f2s_hpc.errors import InputError  # noqa: E402
+from f2s_hpc.grid.box import GHOST, Box, Part  # noqa: E402
+
+_RANK_STRIDE = float(2**36)
+
+
+def process_grid(box: Box, ranks: int) -> tuple[int, int, int]:
+    """Return the number of ranks along x, y, z with the smallest ghost surface.
+
+    z is cut only when x and y can not give slabs as thick as the ghost width, since columns carry
+    the deposit and a cut in z leaves the upper rank idle. Raises ``InputError`` if no split fits.
+    """
+    best = None
+    for px in range(1, ranks + 1):
+        for py in range(1, ranks // px + 1):
+            if ranks % (px * py):
+                continue
+            shape = (px, py, ranks // (px * py))
+            if any(n // p < GHOST for n, p in zip(box.cells, shape)):
+                continue
+            nx, ny, nz = (n / p for n, p in zip(box.cells, shape))
+            surface = (px > 1) * ny * nz + (py > 1) * nx * nz + (shape[2] > 1) * nx * ny
+            rating = (shape[2], surface, px)
+            if best is None or rating < best[0]:
+                best = (rating, shape)
+    if best is None:
+        raise InputError(f"a box of {' x '.join(map(str, box.cells))} cells can not be cut into {ranks} blocks of at "
+                         f"least {GHOST} cells a side; use fewer ranks or smaller cells")
+    return best[1]
+
+
+def _ranges(cells: int, parts: int) -> list[int]:
+    share, extra = divmod(cells, parts)
+    return [share + (p < extra) for p in range(parts)]
+
+
+@dataclass(frozen=True)
+class GhostMap:
+    """Where the ghosts of a location come from.
+
+    ``local``: flat index of each ghost in this rank's array; ``rank`` and ``remote``: its owner and
+    the flat index in the owner's array.
+    """
+
+    local: np.ndarray
+    rank: np.ndarray
+    remote: np.ndarray
+
+
+class Decomposition:
+    """The distributed box: this rank's :class:`Part` and the ghost maps of cells and nodes."""
+
+    def __init__(self, box: Box, grid: tuple[int, int, int] | None = None) -> None:
+        self.box = box
+        self.grid = grid or process_grid(box, mpi.size())
+        cell_ranges = [_ranges(n, p) for n, p in zip(box.cells, self.grid)]
+        if any(min(r) < GHOST for r in cell_ranges):
+            raise InputError(f"process grid {self.grid} leaves a slab thinner than {GHOST} cells")
+        node_ranges = [r[:-1] + [r[-1] + 1] for r in cell_ranges]
+        cell_da = self._create(box.cells, cell_ranges)
+        node_da = self._create(tuple(n + 1 for n in box.cells), node_ranges)
+        (x0, x1), (y0, y1), (z0, z1) = cell_da.getRanges()
+        self.part = Part(box, (x0, y0, z0), (x1 - x0, y1 - y0, z1 - z0))
+        self.cell_ghosts = self._ghost_map(cell_da, self.part.cell_shape)
+        self.node_ghosts = self._ghost_map(node_da, self.part.node_shape)
+        cell_da.destroy()
+        node_da.destroy()
+
+    def _create(self, sizes: tuple[int, ...], ranges: list[list[int]]) -> PETSc.DMDA:
+        ghosted = PETSc.DM.BoundaryType.GHOSTED
+        return PETSc.DMDA().create(
+            dim=3, dof=1, sizes=sizes, proc_sizes=self.grid, boundary_type=(ghosted,) * 3, stencil_width=GHOST,
+            stencil_type=PETSc.DMDA.StencilType.BOX, comm=mpi.world(),
+            ownership_ranges=[np.array(r, dtype=PETSc.IntType) for r in ranges])
+
+    def _ghost_map(self, da: PETSc.DMDA, shape: tuple[int, int, int]) -> GhostMap:
+        """Let the DMDA carry each owned point's (rank, flat index) into the ghosts of its neighbours."""
+        vector = da.createLocalVec()
+        (x0, x1), (y0, y1), (z0, z1) = da.getRanges()
+        width = GHOST
+        inner = tuple(slice(width, width + n) for n in (z1 - z0, y1 - y0, x1 - x0))
+        natural = tuple(n + 2 * width for n in (z1 - z0, y1 - y0, x1 - x0))
+        # the DMDA's local array is the low part of ours (nodes have a spare layer on inner ranks)
+        flat = np.arange(np.prod(shape), dtype=np.int64).reshape(shape)[tuple(slice(0, n) for n in natural)]
+        label = np.full(natural, -1.0)
+        label[inner] = mpi.rank() * _RANK_STRIDE + flat[inner]
+        vector.setArray(label.ravel())
+        da.localToLocal(vector, vector)
+        label = vector.getArray().copy().reshape(natural)
+        vector.destroy()
+        label[inner] = -1.0
+        ghosts = label >= 0.0
+        owner, remote = np.divmod(label[ghosts].astype(np.int64), np.int64(_RANK_STRIDE))
+        return GhostMap(flat[ghosts], owner, remote)

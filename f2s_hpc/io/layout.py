@@ -1,0 +1,256 @@
+"""How a run lies on disk: file names, blocks of fields, and their collective transfer to HDF5.
+
+A run folder holds::
+
+    checkpoints/checkpoint_cycle_0003_step_00001234.h5     every saved field, float64
+    checkpoints/checkpoint_cycle_0003_step_00001234.json   its manifest, written last
+    frames/frame_000003.vtkhdf                             chosen fields, float32, one file per frame
+    deposit.vtkhdf  deposit.xmf                            what ParaView opens as a time series
+    summary.json  summary.csv                              the run, and one row per cycle
+
+Readers never see a file that is being written: it carries another name until it is whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.errors import F2SError
+
+FORMAT_VERSION = 1
+CHECKPOINTS, FRAMES = "checkpoints", "frames"
+SUMMARY_JSON, SUMMARY_CSV = "summary.json", "summary.csv"
+INDEX, SIDECAR = "deposit.vtkhdf", "deposit.xmf"
+PARTIAL, DELETED = ".partial", ".deleted"
+FIELDS_GROUP, ATTRIBUTES = "fields", "attributes"
+VTK_ROOT, CELL_DATA, POINT_DATA = "VTKHDF", "CellData", "PointData"
+PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
+CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
+FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
+LARGEST_CHUNK = 64
+
+Shape = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Block:
+    """This rank's owned part of one field.
+
+    ``data`` is float64, indexed [k, j, i] (x fastest), and may be a view into a ghosted array;
+    ``start`` is its first global index (k0, j0, i0); ``global_shape`` is (nz, ny, nx), with one
+    more per axis for a node field. The blocks of all ranks tile the field.
+    """
+
+    name: str
+    data: np.ndarray
+    start: Shape
+    global_shape: Shape
+
+
+def box_selection(start: Sequence[int], shape: Sequence[int]) -> tuple[slice, slice, slice]:
+    """Return the slices of the box of ``shape`` whose first index is ``start``, both (k, j, i)."""
+    return tuple(slice(first, first + count) for first, count in zip(start, shape, strict=True))
+
+
+def checkpoint_name(cycle: int, step: int, attempt: int = 1) -> str:
+    """Return the file name of a checkpoint; ``attempt`` tells apart rewrites of the same step."""
+    return f"checkpoint_cycle_{cycle:04d}_step_{step:08d}" + (f"_{attempt}" if attempt > 1 else "") + ".h5"
+
+
+def checkpoint_key(name: str) -> tuple[int, int, int] | None:
+    """Return (cycle, step, attempt) of a checkpoint's file name, ``None`` for any other name."""
+    match = CHECKPOINT_NAME.fullmatch(name)
+    return None if match is None else (int(match[1]), int(match[2]), int(match[3] or 1))
+
+
+def frame_name(number: int) -> str:
+    """Return the file name of frame ``number``."""
+    return f"frame_{number:06d}.vtkhdf"
+
+
+def partial_path(path: pathlib.Path) -> pathlib.Path:
+    """Return the name that ``path`` carries while it is being written (same folder, hidden)."""
+    return path.with_name(f".{path.name}{PARTIAL}")
+
+
+def encode_json(values: dict) -> str:
+    """Return ``values`` as JSON text; floats and integers read back bit for bit.
+
+    numpy numbers and arrays are written as plain ones; other types raise ``TypeError``.
+    """
+    def plain(value):
+        if isinstance(value, (np.generic, np.ndarray)):
+            return value.tolist()
+        if isinstance(value, os.PathLike):
+            return os.fspath(value)
+        raise TypeError(f"{type(value).__name__} cannot be saved as JSON")
+
+    return json.dumps(values, default=plain, indent=1)
+
+
+def raise_together(failure: str | None, kind: type[F2SError] = F2SError) -> None:
+    """Raise ``kind`` on all ranks, with the first rank's message, if any rank has a ``failure``."""
+    found = [message for message in mpi.all_gather(failure) if message is not None]
+    if found:
+        raise kind(found[0])
+
+
+def attempt_together(task: Callable, context: str, kind: type[F2SError] = F2SError):
+    """Call ``task`` on every rank; return its value, or raise ``kind`` on all ranks if one failed.
+
+    ``context`` opens the message, such as "cannot write FILE"; an ``F2SError`` brings its own message.
+    """
+    outcome, failure = None, None
+    try:
+        outcome = task()
+    except Exception as error:  # whatever it is, the other ranks must not wait for this one
+        text = " ".join(str(error).split())
+        kind_of_bug = "" if isinstance(error, OSError) else f"{type(error).__name__} "
+        failure = text if isinstance(error, F2SError) else f"{context}: {kind_of_bug}{text}"
+    raise_together(failure, kind)
+    return outcome
+
+
+def attempt_on_root(task: Callable, context: str, kind: type[F2SError] = F2SError):
+    """Call ``task`` on rank 0; return its value on all ranks, or raise ``kind`` on all of them."""
+    outcome = attempt_together(lambda: task() if mpi.is_root() else None, context, kind)
+    return mpi.broadcast(outcome)
+
+
+def check_blocks(blocks: Sequence[Block]) -> str | None:
+    """Return what is wrong with the blocks, ``None`` if they tile their fields. Call on all ranks."""
+    names = [(block.name, tuple(map(int, block.global_shape))) for block in blocks]
+    wrong = None
+    if mpi.broadcast(names) != names:
+        wrong = f"rank {mpi.rank()} holds other fields than rank 0"
+    elif len({name for name, _ in names}) != len(names):
+        wrong = "two fields share a name"
+    for block in blocks:
+        last = [first + count for first, count in zip(block.start, block.data.shape, strict=False)]
+        if block.data.dtype != np.float64 or block.data.ndim != 3:
+            wrong = f"field {block.name!r} is not a float64 array [k, j, i]"
+        elif min(block.start) < 0 or any(end > n for end, n in zip(last, block.global_shape, strict=True)):
+            wrong = f"field {block.name!r}: the block reaches outside of the field"
+    found = [message for message in mpi.all_gather(wrong) if message is not None]
+    if found:
+        return found[0]
+    counts = mpi.total(np.array([block.data.size for block in blocks], dtype=np.int64))
+    for block, count in zip(blocks, counts, strict=True):
+        if count != np.prod(block.global_shape, dtype=np.int64):
+            return f"field {block.name!r}: the blocks of the ranks do not tile it"
+    return None
+
+
+def open_shared(path: pathlib.Path, mode: str) -> h5py.File:
+    """Open an HDF5 file on all ranks at once (one rank: the plain driver)."""
+    if mpi.size() == 1:
+        return h5py.File(path, mode)
+    if not h5py.get_config().mpi:
+        raise RuntimeError("h5py is the serial build; set H5PY_ALWAYS_USE_MPI=1 or install h5py with MPI")
+    return h5py.File(path, mode, driver="mpio", comm=mpi.world())
+
+
+def brick(blocks: Sequence[Block]) -> list[Shape]:
+    """Return per block the chunk shape: the largest rank's part, at most 64 per axis."""
+    largest = mpi.maximum(np.array([block.data.shape for block in blocks], dtype=np.int64).reshape(-1, 3))
+    return [tuple(int(max(1, min(n, LARGEST_CHUNK))) for n in shape) for shape in largest]
+
+
+def write_collective(dataset: h5py.Dataset, block: Block) -> None:
+    """Write one block per rank in one collective call; a rank with an empty block takes part too.
+
+    The cast to the file's type happens in memory first: HDF5 refuses to convert within a filtered
+    collective write.
+    """
+    data = np.ascontiguousarray(block.data, dtype=dataset.dtype)
+    file_space = dataset.id.get_space()
+    memory_space = h5py.h5s.create_simple(data.shape if data.size else (1, 1, 1))
+    if data.size:
+        file_space.select_hyperslab(tuple(map(int, block.start)), data.shape)
+    else:
+        file_space.select_none()
+        memory_space.select_none()
+        data = np.zeros((1, 1, 1), dtype=dataset.dtype)
+    transfer = h5py.h5p.create(h5py.h5p.DATASET_XFER)
+    if mpi.size() > 1:
+        transfer.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
+    dataset.id.write(memory_space, file_space, data, dxpl=transfer)
+
+
+def write_text(file: h5py.File, name: str, text: str) -> None:
+    """Write a scalar string dataset: created by all ranks, filled by rank 0. ``text`` is rank 0's."""
+    encoded = mpi.broadcast(text).encode("utf-8")
+    dataset = file.create_dataset(name, (), dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
+    if mpi.is_root():
+        dataset[()] = np.bytes_(encoded)
+
+
+def read_text(file: h5py.File, name: str) -> str:
+    """Return a scalar string dataset."""
+    value = file[name][()]
+    return (value if isinstance(value, bytes) else bytes(value)).decode("utf-8")
+
+
+def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Block], texts: dict[str, str],
+                 prepare: Callable[[h5py.File], None], dtype: str, compress: bool, kind: type[F2SError]) -> None:
+    """Write ``blocks`` to the datasets ``places`` of a new HDF5 file, all ranks together, and flush it.
+
+    ``prepare`` adds groups and attributes, the same on all ranks. Any failure on any rank raises
+    ``kind`` on all ranks and removes the file.
+    """
+    context = f"cannot write {path.name.removeprefix('.').removesuffix(PARTIAL)} in {path.parent}"
+    file = attempt_together(lambda: open_shared(path, "w"), context, kind)
+    chunks = brick(blocks) if compress else [None] * len(blocks)
+    filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compress else {}
+
+    def structure() -> list[h5py.Dataset]:
+        prepare(file)
+        for name, text in texts.items():
+            write_text(file, name, text)
+        return [file.create_dataset(place, block.global_shape, dtype=dtype, chunks=chunk, **filters)
+                for place, block, chunk in zip(places, blocks, chunks, strict=True)]
+
+    try:
+        try:
+            datasets = attempt_together(structure, context, kind)
+            for dataset, block in zip(datasets, blocks, strict=True):
+                attempt_together(lambda d=dataset, b=block: write_collective(d, b), context, kind)
+            attempt_together(file.flush, context, kind)
+        finally:
+            attempt_together(file.close, context, kind)
+    except F2SError:
+        if mpi.is_root():
+            path.unlink(missing_ok=True)
+        raise
+
+
+def make_durable(path: pathlib.Path) -> None:
+    """Flush a file or a folder to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def publish(partial: pathlib.Path, path: pathlib.Path) -> None:
+    """Give a finished file its real name, so that it survives a crash right after."""
+    make_durable(partial)
+    os.replace(partial, path)
+    make_durable(path.parent)
+
+
+def write_text_file(path: pathlib.Path, text: str) -> None:
+    """Write a small text file under another name, then give it its real one."""
+    partial = partial_path(path)
+    partial.write_text(text, encoding="utf-8")
+    publish(partial, path)

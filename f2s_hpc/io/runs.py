@@ -1,0 +1,156 @@
+"""A run's folder: made once, and read back serially for analysis, pictures and comparison.
+
+Apart from ``prepare_run_folder`` nothing here needs MPI: the readers work on a laptop from the files.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+
+from f2s_hpc.errors import CheckpointError, F2SError, InputError
+from f2s_hpc.io import layout
+from f2s_hpc.io.manifest import read_manifest, text_digest
+
+
+@dataclass(frozen=True)
+class FrameMeta:
+    """What a frame holds besides arrays.
+
+    ``time_s`` in s; ``cells`` (nx, ny, nz); ``origin`` and ``spacing`` (x, y, z) in m; ``locations``
+    maps each field to CellData or PointData; ``provenance`` as it was given when the frame was written.
+    """
+
+    number: int
+    time_s: float
+    cells: tuple[int, int, int]
+    origin: tuple[float, float, float]
+    spacing: tuple[float, float, float]
+    locations: dict[str, str]
+    provenance: dict
+
+
+def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
+    """Make the folder of a new run, with its sub-folders; return it. Called by all ranks, done by rank 0.
+
+    Raises ``InputError`` on all ranks when the folder is in use, or cannot be made.
+    """
+    path = pathlib.Path(path)
+
+    def make() -> None:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file; name a new folder with --out")
+        if path.is_dir() and any(path.iterdir()):
+            if (path / layout.CHECKPOINTS).is_dir() or (path / layout.SUMMARY_JSON).exists():
+                raise InputError(f"{path}: holds a run already; continue it with 'f2s resume {path}', "
+                                 "or start a new one in another folder with --out")
+            raise InputError(f"{path}: is not empty; name a new or empty folder with --out")
+        for folder in (path / layout.CHECKPOINTS, path / layout.FRAMES):
+            folder.mkdir(parents=True, exist_ok=True)
+
+    layout.attempt_on_root(make, f"{path}: cannot be made", InputError)
+    return path
+
+
+def read_summary(path: str | os.PathLike) -> dict:
+    """Return ``summary.json`` of the run folder ``path``. Raises ``InputError`` when there is none."""
+    place = pathlib.Path(path) / layout.SUMMARY_JSON
+    try:
+        summary = json.loads(place.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{place}: {error.strerror}; is {path} the folder of a run?") from None
+    except ValueError as error:
+        raise InputError(f"{place}: not JSON ({error})") from None
+    if not isinstance(summary, dict):
+        raise InputError(f"{place}: not a JSON object")
+    return summary
+
+
+def read_cycle_table(path: str | os.PathLike) -> list[dict[str, str]]:
+    """Return the rows of ``summary.csv`` of the run folder ``path``, as text; empty when there is none."""
+    place = pathlib.Path(path) / layout.SUMMARY_CSV
+    if not place.exists():
+        return []
+    with place.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def list_frames(folder: str | os.PathLike, frames: str = layout.FRAMES) -> list[int]:
+    """Return the numbers of the frames in the run folder ``folder``, ascending."""
+    place = pathlib.Path(folder) / frames
+    if not place.is_dir():
+        return []
+    matches = (layout.FRAME_NAME.fullmatch(path.name) for path in place.iterdir())
+    return sorted(int(match[1]) for match in matches if match is not None)
+
+
+def _meta(file: h5py.File) -> FrameMeta:
+    root, own = file[layout.VTK_ROOT], file[layout.PROVENANCE_GROUP]
+    extent = root.attrs["WholeExtent"]
+    locations = {name: place for place in (layout.CELL_DATA, layout.POINT_DATA) for name in root[place]}
+    return FrameMeta(int(own.attrs["number"]), float(own.attrs["time_s"]), tuple(int(n) for n in extent[1::2]),
+                     tuple(map(float, root.attrs["Origin"])), tuple(map(float, root.attrs["Spacing"])),
+                     locations, json.loads(layout.read_text(file, layout.PROVENANCE)))
+
+
+def read_frame_meta(path: str | os.PathLike) -> FrameMeta:
+    """Return what the frame file ``path`` holds. Raises ``F2SError`` when it cannot be read as a frame."""
+    try:
+        with h5py.File(path, "r") as file:
+            return _meta(file)
+    except (OSError, KeyError, ValueError) as error:
+        raise F2SError(f"{path}: not a readable frame ({' '.join(str(error).split())})") from None
+
+
+def open_frame(folder: str | os.PathLike, number: int,
+               names: Sequence[str] | None = None) -> tuple[dict[str, np.ndarray], FrameMeta]:
+    """Return the fields of a frame, float32 [k, j, i], and what the frame is.
+
+    ``folder`` is the run folder; ``names`` picks fields (default: all). Raises ``InputError`` when the
+    frame or a field is missing, ``F2SError`` when the file is damaged.
+    """
+    path = pathlib.Path(folder) / layout.FRAMES / layout.frame_name(number)
+    if not path.exists():
+        numbers = list_frames(folder)
+        raise InputError(f"{path}: no such frame; {'this run has frames ' + str(numbers) if numbers else 'no frames'}")
+    meta = read_frame_meta(path)
+    for name in names or ():
+        if name not in meta.locations:
+            raise InputError(f"{path}: no field {name!r}; it holds {', '.join(meta.locations)}")
+    try:
+        with h5py.File(path, "r") as file:
+            wanted = meta.locations if names is None else names
+            return {name: file[f"{layout.VTK_ROOT}/{meta.locations[name]}/{name}"][...] for name in wanted}, meta
+    except (OSError, KeyError) as error:
+        raise F2SError(f"{path}: damaged frame ({' '.join(str(error).split())})") from None
+
+
+def open_checkpoint_serial(path: str | os.PathLike,
+                           names: Sequence[str] | None = None) -> tuple[dict[str, np.ndarray], dict]:
+    """Return the fields of a checkpoint, float64 [k, j, i], whole, and its attributes.
+
+    ``names`` picks fields (default: all). The manifest, the size and the attributes are tested, the
+    fields' checksums are not (``checkpoint.verify_checkpoint`` does). Raises ``CheckpointError``.
+    """
+    path = pathlib.Path(path)
+    manifest = read_manifest(path)
+    wanted = list(manifest.fields) if names is None else list(names)
+    for name in wanted:
+        if name not in manifest.fields:
+            raise CheckpointError(f"{path}: no field {name!r}; it holds {', '.join(manifest.fields)}")
+    try:
+        with h5py.File(path, "r") as file:
+            text = layout.read_text(file, layout.ATTRIBUTES)
+            arrays = {name: file[f"{layout.FIELDS_GROUP}/{name}"][...] for name in wanted}
+        if text_digest(text) != manifest.attributes_sha256:
+            raise ValueError("the attributes have another checksum")
+        return arrays, json.loads(text)
+    except (OSError, KeyError, ValueError) as error:
+        raise CheckpointError(f"{path}: damaged checkpoint ({' '.join(str(error).split())})") from None

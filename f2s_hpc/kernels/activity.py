@@ -1,0 +1,161 @@
+"""Which cells are worth touching: blocks of a grid row that hold material or border on it.
+
+A row (k, j) is divided into blocks of ``BLOCK`` cells. A block is active if any cell within one
+cell of it, in all directions, holds material; as nothing crosses more than one cell per step, every
+cell that material can reach in the step lies in an active block. Everything outside is void and all
+its fields are zero, so kernels that skip it give the same bits as kernels that do not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc._jit import kernel
+
+BLOCK = 16
+
+
+@kernel
+def mark_material(mass, shape, active, holds):
+    """Note in ``holds`` which of the active blocks contain material.
+
+    ``mass`` flat cell array; ``shape`` (nz, ny, nx) of it; ``active``, ``holds`` uint8 arrays
+    (nz, ny, blocks). Bits of ``holds``: 1 any cell, 2 first cell, 4 last cell of the block.
+    """
+    nz, ny, nx = shape
+    for k in range(nz):
+        for j in range(ny):
+            row = (k * ny + j) * nx
+            for b in range(active.shape[2]):
+                flag = 0
+                if active[k, j, b]:
+                    first = b * BLOCK
+                    last = min(first + BLOCK, nx)
+                    for i in range(first, last):
+                        if mass[row + i] != 0.0:
+                            flag = 1
+                            break
+                    if flag and mass[row + first] != 0.0:
+                        flag |= 2
+                    if flag and mass[row + last - 1] != 0.0:
+                        flag |= 4
+                holds[k, j, b] = flag
+
+
+@kernel
+def grow_active(holds, active):
+    """Set ``active`` to the blocks within one cell of material, from the marks of ``holds``."""
+    nz, ny, blocks = holds.shape
+    for k in range(nz):
+        for j in range(ny):
+            for b in range(blocks):
+                flag = 0
+                for kk in range(max(k - 1, 0), min(k + 2, nz)):
+                    for jj in range(max(j - 1, 0), min(j + 2, ny)):
+                        flag |= holds[kk, jj, b] & 1
+                        if b > 0:
+                            flag |= holds[kk, jj, b - 1] & 4
+                        if b + 1 < blocks:
+                            flag |= holds[kk, jj, b + 1] & 2
+                active[k, j, b] = flag != 0
+
+
+@kernel
+def list_runs(active, row_length, runs):
+    """List the maximal runs of active cells as rows (k, j, first cell, end) of ``runs`` (int32).
+
+    Returns the number of runs; when that exceeds the length of ``runs``, only the first were
+    written and the caller calls again with a longer array.
+    """
+    nz, ny, blocks = active.shape
+    count = 0
+    for k in range(nz):
+        for j in range(ny):
+            b = 0
+            while b < blocks:
+                if active[k, j, b]:
+                    first = b
+                    while b < blocks and active[k, j, b]:
+                        b += 1
+                    if count < runs.shape[0]:
+                        runs[count, 0] = k
+                        runs[count, 1] = j
+                        runs[count, 2] = first * BLOCK
+                        runs[count, 3] = min(b * BLOCK, row_length)
+                    count += 1
+                b += 1
+    return count
+
+
+@kernel
+def list_columns(active, row_length, axis, columns):
+    """List the columns of active blocks that a sweep across the rows walks.
+
+    ``axis`` 1 (y): fixed index k, walking j; 2 (z): fixed index j, walking k. Rows of ``columns``
+    (int32): fixed index, first row, end row, first cell, end cell; neighbouring blocks with the same extent share one.
+    Returns the number of columns (see :func:`list_runs` for overflow).
+    """
+    nz, ny, blocks = active.shape
+    fixed_count, length = (nz, ny) if axis == 1 else (ny, nz)
+    count = 0
+    for fixed in range(fixed_count):
+        own = count
+        for b in range(blocks):
+            t = 0
+            while t < length:
+                here = active[fixed, t, b] if axis == 1 else active[t, fixed, b]
+                if not here:
+                    t += 1
+                    continue
+                first = t
+                while t < length and (active[fixed, t, b] if axis == 1 else active[t, fixed, b]):
+                    t += 1
+                merged = False
+                for c in range(own, min(count, columns.shape[0])):
+                    if columns[c, 1] == first and columns[c, 2] == t and columns[c, 4] == b * BLOCK:
+                        columns[c, 4] = min((b + 1) * BLOCK, row_length)
+                        merged = True
+                        break
+                if merged:
+                    continue
+                if count < columns.shape[0]:
+                    columns[count, 0] = fixed
+                    columns[count, 1] = first
+                    columns[count, 2] = t
+                    columns[count, 3] = b * BLOCK
+                    columns[count, 4] = min((b + 1) * BLOCK, row_length)
+                count += 1
+    return count
+
+
+@kernel
+def retire(before, active, shape, memory, cells, nodes):
+    """Zero every field on blocks that were active and are no more, so that all outside is zero.
+
+    ``shape``: (ny, nx) of a cell array; ``cells``, ``nodes``: offsets into ``memory`` of the cell arrays and of the
+    node and face arrays.
+    """
+    ny, nx = shape
+    for k in range(active.shape[0]):
+        for j in range(active.shape[1]):
+            for b in range(active.shape[2]):
+                if active[k, j, b] or not before[k, j, b]:
+                    continue
+                first, last = b * BLOCK, min((b + 1) * BLOCK, nx)
+                cell, node = (k * ny + j) * nx, (k * (ny + 1) + j) * (nx + 1)
+                for f in range(cells.size):
+                    for i in range(first, last):
+                        memory[cells[f] + cell + i] = 0.0
+                for f in range(nodes.size):
+                    for i in range(first, last):
+                        memory[nodes[f] + node + i] = 0.0
+
+
+def block_count(row_length: int) -> int:
+    """Return the number of blocks in a row of ``row_length`` cells."""
+    return -(-row_length // BLOCK)
+
+
+def empty_list(length: int, entries: int) -> np.ndarray:
+    """Return an array for ``length`` runs (4 entries) or columns (5 entries)."""
+    return np.empty((length, entries), dtype=np.int32)

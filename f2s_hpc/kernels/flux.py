@@ -1,0 +1,156 @@
+"""What crosses the faces in one directional sweep: material volume by geometry, and mass."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc._jit import kernel
+from f2s_hpc.kernels.plane import interface_normal, plane_distance, slab_volume
+
+FULL = 1.0 - 1e-9
+"""A cell at least this full is treated as full: no plane, and tension if the closure allows."""
+
+
+@kernel
+def limited_slope(behind, ahead):
+    """Return van Leer's (1974) limited difference of two neighbouring differences."""
+    product = behind * ahead
+    return 2.0 * product / (behind + ahead) if product > 0.0 else 0.0
+
+
+@kernel
+def pre_volume(gx, gy, gz, n, cell_axis, done, nx1, nxy1):
+    """Return the volume (in cells) of cell ``n`` before sweep ``cell_axis``, ``done`` marking finished axes.
+
+    A cell starts the remap with its deformed volume and ends with exactly one; each sweep takes out
+    its own axis. ``n`` indexes node-shaped arrays; ``nx1``, ``nxy1`` are their row and plane strides.
+    """
+    volume = 1.0
+    if not done & 1:
+        volume += gx[n + 1] - gx[n]
+    if not done & 2:
+        volume += gy[n + nx1] - gy[n]
+    if not done & 4:
+        volume += gz[n + nxy1] - gz[n]
+    return volume
+
+
+@kernel
+def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, fraction, flux):
+    """Material volume (in cells) that crosses each low face along ``axis``, signed, into ``flux``.
+
+    Full donors give the whole swept volume; mixed donors give the part of it below their interface
+    plane (PLIC). ``done``: bits of the axes already swept. Visits cells of ``window`` as donors and writes
+    the low face of each, and the high face of those that are donors there.
+    """
+    ny, nx = shape
+    cell_strides = (1, nx, nx * ny)
+    face_strides = (1, nx + 1, (nx + 1) * (ny + 1))
+    step = face_strides[axis]
+    back = cell_strides[axis]
+    g = gx if axis == 0 else (gy if axis == 1 else gz)
+    sx, sy, sz = cell_strides[axis], cell_strides[(axis + 1) % 3], cell_strides[(axis + 2) % 3]
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        face = (k * (ny + 1) + j) * (nx + 1)
+        cell = (k * ny + j) * nx
+        for i in range(first, last):
+            swept = g[face + i]
+            donor = fraction[cell + i - back] if swept > 0.0 else fraction[cell + i]
+            flux[face + i] = swept if donor >= FULL else 0.0
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        face = (k * (ny + 1) + j) * (nx + 1)
+        cell = (k * ny + j) * nx
+        for i in range(first, last):
+            f = fraction[cell + i]
+            if f >= FULL or mass[cell + i] <= 0.0:
+                continue
+            n = face + i
+            low, high = g[n], g[n + step]
+            if low >= 0.0 and high <= 0.0:
+                continue
+            volume = pre_volume(gx, gy, gz, n, axis, done, nx + 1, (nx + 1) * (ny + 1))
+            a, b, c = interface_normal(fraction, cell + i, sx, sy, sz)
+            distance = plane_distance(abs(a), abs(b), abs(c), f)
+            if low < 0.0:
+                share = min(-low / volume, 1.0)
+                flux[n] = -volume * min(slab_volume(a, b, c, distance, share, False), f)
+            if high > 0.0:
+                share = min(high / volume, 1.0)
+                flux[n + step] = volume * min(slab_volume(a, b, c, distance, share, True), f)
+
+
+@kernel
+def mass_fluxes(runs, count, window, shape, axis, done, second, gx, gy, gz, mass, fraction, flux, mass_flux):
+    """Mass (in full cells) that crosses each low face along ``axis``: volume flux times donor density.
+
+    Between full cells the density is reconstructed with a limited slope (when ``second`` is 1), next
+    to a mixed or void cell it is the donor's own.
+    """
+    ny, nx = shape
+    back = 1 if axis == 0 else (nx if axis == 1 else nx * ny)
+    step = 1 if axis == 0 else (nx + 1 if axis == 1 else (nx + 1) * (ny + 1))
+    row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        face = (k * (ny + 1) + j) * (nx + 1)
+        cell = (k * ny + j) * nx
+        for i in range(first, last):
+            n, c = face + i, cell + i
+            phi = flux[n]
+            if phi == 0.0:
+                mass_flux[n] = 0.0
+                continue
+            side = 1 if phi > 0.0 else 0
+            d = c - side * back
+            volume = pre_volume(gx, gy, gz, n - side * step, axis, done, row1, plane1)
+            material = fraction[d] * volume
+            density = mass[d] / material
+            if second == 1 and fraction[d] >= FULL:
+                up, down = (d - back, d + back) if side else (d + back, d - back)
+                nu, nd = (n - 2 * step, n) if side else (n + step, n - step)
+                if fraction[up] >= FULL and fraction[down] >= FULL:
+                    rho_up = mass[up] / pre_volume(gx, gy, gz, nu, axis, done, row1, plane1)
+                    rho_down = mass[down] / pre_volume(gx, gy, gz, nd, axis, done, row1, plane1)
+                    slope = limited_slope(density - rho_up, rho_down - density)
+                    density += 0.5 * (1.0 - abs(phi) / volume) * slope
+            moved = phi * density
+            mass_flux[n] = min(max(moved, -mass[d]), mass[d])
+
+
+@kernel
+def through_plane(mass_flux, plane, shape, lows, highs, axis, outward, u, v, w, mass_quantum, energy_quantum):
+    """Return mass and kinetic energy that leave through one plane of faces normal to ``axis``.
+
+    Mass in units of ``mass_quantum`` (full cells), energy in units of ``energy_quantum`` (J per kg of a full
+    cell), both as exact integers. ``lows``, ``highs``: index bounds of the two other axes, lower axis first;
+    ``outward``: +1 on a high side, -1 on a low one.
+    """
+    ny, nx = shape
+    strides = (1, nx + 1, (nx + 1) * (ny + 1))
+    p, q = (strides[1], strides[2]) if axis == 0 else ((strides[0], strides[2]) if axis == 1 else
+                                                       (strides[0], strides[1]))
+    mass, energy = np.int64(0), np.int64(0)
+    for b in range(lows[1], highs[1]):
+        for a in range(lows[0], highs[0]):
+            n = plane * strides[axis] + a * p + b * q
+            left = outward * mass_flux[n]
+            if left == 0.0:
+                continue
+            square = 0.0
+            for component in (u, v, w):
+                mean = 0.25 * ((component[n] + component[n + p]) + (component[n + q] + component[n + p + q]))
+                square += mean * mean
+            mass += np.int64(left / mass_quantum)
+            energy += np.int64(0.5 * left * square / energy_quantum)
+    return mass, energy

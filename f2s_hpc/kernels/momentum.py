@@ -1,0 +1,170 @@
+"""Acceleration of the nodes, walls, and what light nodes need."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from f2s_hpc._jit import kernel
+
+
+@kernel
+def clear_nodes(runs, count, shape, fx, fy, fz):
+    """Zero the force arrays on every node that an active cell touches."""
+    ny, nx = shape
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        for kk in range(k, k + 2):
+            for jj in range(j, j + 2):
+                row = (kk * (ny + 1) + jj) * (nx + 1)
+                for i in range(runs[r, 2], runs[r, 3] + 1):
+                    fx[row + i] = 0.0
+                    fy[row + i] = 0.0
+                    fz[row + i] = 0.0
+
+
+@kernel
+def kinetic_energy(runs, count, window, shape, weights, nodal, u, v, w, quantum, dx, density):
+    """Return the kinetic energy of the owned nodes in units of ``quantum`` (J), an exact integer sum.
+
+    ``weights``: per axis, the share of each node plane that lies inside the box (1/2 on a wall).
+    """
+    ny, nx = shape
+    total = np.int64(0)
+    full = density * dx * dx * dx
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        plane = 0.5 * full * weights[2][k] * weights[1][j]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+            n = row + i
+            m = nodal[n]
+            e = plane * weights[0][i] * m * (u[n] * u[n] + v[n] * v[n] + w[n] * w[n])
+            total += np.int64(e / quantum)
+    return total
+
+
+@kernel
+def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free, nodal, fx, fy, fz, u, v, w,
+               quantum, sums):
+    """Advance the owned nodes by one kick, v += dt F / m, and hold the walls.
+
+    ``floor``: least mass (in full nodes) that divides the force; ``free``: per axis and component,
+    1 where a node plane may move in that component, 0 where the wall holds it, as free[axis][component].
+    ``sums`` int64[4], in units of ``quantum`` (J): kinetic energy before and after, work of the
+    forces, and the part of that work that the mass floor withheld.
+    """
+    ny, nx = shape
+    full = density * dx * dx * dx
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        plane = weights[2][k] * weights[1][j]
+        hold_u = free[1, 0, j] * free[2, 0, k]
+        hold_v = free[1, 1, j] * free[2, 1, k]
+        hold_w = free[1, 2, j] * free[2, 2, k]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+            n = row + i
+            m = full * nodal[n]
+            kick = dt / max(m, floor * full) if m > 0.0 else 0.0
+            moves = 1.0 if m > 0.0 else 0.0
+            u0, v0, w0 = u[n], v[n], w[n]
+            u1 = (moves * u0 + kick * fx[n]) * hold_u * free[0, 0, i]
+            v1 = (moves * v0 + kick * fy[n]) * hold_v * free[0, 1, i]
+            w1 = (moves * w0 + kick * fz[n]) * hold_w * free[0, 2, i]
+            u[n], v[n], w[n] = u1, v1, w1
+            share = plane * weights[0][i]
+            before = 0.5 * m * share * (u0 * u0 + v0 * v0 + w0 * w0)
+            after = 0.5 * m * share * (u1 * u1 + v1 * v1 + w1 * w1)
+            work = 0.5 * dt * share * (fx[n] * (u0 + u1) + fy[n] * (v0 + v1) + fz[n] * (w0 + w1))
+            sums[0] += np.int64(before / quantum)
+            sums[1] += np.int64(after / quantum)
+            sums[2] += np.int64(work / quantum)
+            sums[3] += np.int64((work - (after - before)) / quantum)
+
+
+@kernel
+def exchange_light(runs, count, window, shape, strength, limit, nodal, u, v, w, du, dv, dw):
+    """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
+
+    Every pair of neighbours along an axis, both lighter than ``limit`` full nodes, shares momentum:
+    the pair's lighter mass times ``strength`` times the velocity difference passes from one to the
+    other, so the pair keeps its momentum and no pair overshoots (strength < 1/6).
+    """
+    ny, nx = shape
+    strides = (1, nx + 1, (nx + 1) * (ny + 1))
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+            n = row + i
+            du[n], dv[n], dw[n] = 0.0, 0.0, 0.0
+            m = nodal[n]
+            if m <= 0.0 or m >= limit:
+                continue
+            for axis in range(3):
+                for side in (-1, 1):
+                    other = nodal[n + side * strides[axis]]
+                    if other <= 0.0 or other >= limit:
+                        continue
+                    share = strength * min(m, other) / m
+                    o = n + side * strides[axis]
+                    du[n] += share * (u[o] - u[n])
+                    dv[n] += share * (v[o] - v[n])
+                    dw[n] += share * (w[o] - w[n])
+
+
+@kernel
+def apply_exchange(runs, count, window, shape, limit, cap, weights, density, dx, nodal, u, v, w, du, dv, dw, quantum,
+                   mass_quantum, sums):
+    """Add the exchange to light nodes, and cap the speed of those that still race.
+
+    ``sums`` int64[4]: kinetic energy taken by the exchange and by the cap (units of ``quantum``),
+    nodes capped (count), and their mass (units of ``mass_quantum``, kg). A node of at least
+    ``limit`` full nodes is never touched. Returns the largest speed (m/s) of light and of heavy nodes.
+    """
+    ny, nx = shape
+    full = density * dx * dx * dx
+    fastest_light, fastest_heavy = 0.0, 0.0
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        plane = full * weights[2][k] * weights[1][j]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+            n = row + i
+            m = nodal[n]
+            square = u[n] * u[n] + v[n] * v[n] + w[n] * w[n]
+            if m >= limit:
+                speed = math.sqrt(square)
+                if not speed <= fastest_heavy:
+                    fastest_heavy = speed
+                continue
+            inside = plane * weights[0][i] * m
+            if m > 0.0:
+                u[n] += du[n]
+                v[n] += dv[n]
+                w[n] += dw[n]
+                exchanged = u[n] * u[n] + v[n] * v[n] + w[n] * w[n]
+                sums[0] += np.int64(0.5 * inside * (square - exchanged) / quantum)
+                square = exchanged
+            speed = math.sqrt(square)
+            if speed > cap:
+                u[n] *= cap / speed
+                v[n] *= cap / speed
+                w[n] *= cap / speed
+                sums[1] += np.int64(0.5 * inside * (square - cap * cap) / quantum)
+                sums[2] += 1
+                sums[3] += np.int64(inside / mass_quantum)
+                speed = cap
+            if not speed <= fastest_light:
+                fastest_light = speed
+    return fastest_light, fastest_heavy

@@ -1,0 +1,194 @@
+"""Flow stress of every model, and the implicit radial return that all of them share.
+
+Each model is written as
+
+    sigma(eps, rate, T) = theta(T) [ h(eps) + r(eps) <ln(rate / rate_1)> + b <ln(rate / rate_2)> ]
+
+with <x> = max(x, 0): a strain-hardening part, up to two logarithmic rate terms that act only above
+their reference rate, and thermal softening at the temperature of the step's start. ``softening``
+gives theta; ``hardening`` gives h, r and their derivatives in eps; ``rate_terms`` gives rate_1,
+rate_2 and b. Sources: Ge et al. 2026 (Free2Spray), Eq. (1), with the limits of the authors' hardening
+routine, without which the logarithms go negative; Johnson and Cook 1983.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import types
+from numba.extending import overload
+
+from f2s_hpc._jit import kernel
+from f2s_hpc.materials.params import Elastic, Ge, JohnsonCook, LinearHardening
+
+MAX_ITERATIONS = 80
+"""Bisections that shrink any bracket to round-off; Newton steps take three to six."""
+
+_TINY_STRAIN = 1e-300
+
+
+def _ge_softening(flow, temperature):
+    """Thermal factor of the Ge model: a logistic curve, 1 at room temperature, never zero."""
+    cold = 1.0 + math.exp((flow.room_temperature - flow.reference_temperature) * flow.eta)
+    exponent = min((temperature - flow.reference_temperature) * flow.eta, 600.0)
+    return cold / (1.0 + math.exp(exponent))
+
+
+def _ge_hardening(flow, eps):
+    """Return h, r, dh/deps, dr/deps (Pa) of the Ge model."""
+    power = max(eps, _TINY_STRAIN) ** flow.exponent
+    slope = flow.exponent * power / max(eps, _TINY_STRAIN)
+    return (flow.yield_stress + flow.hardening * power, flow.alpha * power + flow.beta,
+            flow.hardening * slope, flow.alpha * slope)
+
+
+def _ge_rate_terms(flow):
+    """Return rate_1, rate_2 (1/s) and b (Pa) of the Ge model."""
+    return flow.rate_normal, flow.rate_high, flow.high_rate
+
+
+def _jc_softening(flow, temperature):
+    """Thermal factor of Johnson-Cook: 1 - T*^m, 1 below the reference, 0 from melting on."""
+    star = (temperature - flow.reference_temperature) / (flow.melting_temperature - flow.reference_temperature)
+    return 1.0 - min(max(star, 0.0), 1.0) ** flow.softening_exponent
+
+
+def _jc_hardening(flow, eps):
+    """Return h, r, dh/deps, dr/deps (Pa) of Johnson-Cook; its rate factor multiplies the hardening."""
+    power = max(eps, _TINY_STRAIN) ** flow.exponent
+    slope = flow.exponent * power / max(eps, _TINY_STRAIN)
+    stress = flow.yield_stress + flow.hardening * power
+    return stress, flow.rate_factor * stress, flow.hardening * slope, flow.rate_factor * flow.hardening * slope
+
+
+def _jc_rate_terms(flow):
+    """Return rate_1, rate_2 (1/s) and b (Pa): Johnson-Cook has no second rate term."""
+    return flow.reference_rate, flow.reference_rate, 0.0
+
+
+def _linear_softening(flow, temperature):
+    """No thermal softening."""
+    return 1.0
+
+
+def _linear_hardening(flow, eps):
+    """Return h, r, dh/deps, dr/deps (Pa) of linear hardening."""
+    return flow.yield_stress + flow.modulus * eps, 0.0, flow.modulus, 0.0
+
+
+def _no_rate_terms(flow):
+    """No rate terms."""
+    return 1.0, 1.0, 0.0
+
+
+def _elastic_hardening(flow, eps):
+    """A flow stress that no trial stress reaches."""
+    return 1e300, 0.0, 0.0, 0.0
+
+
+_MODELS = {
+    Ge: (_ge_softening, _ge_hardening, _ge_rate_terms),
+    JohnsonCook: (_jc_softening, _jc_hardening, _jc_rate_terms),
+    LinearHardening: (_linear_softening, _linear_hardening, _no_rate_terms),
+    Elastic: (_linear_softening, _elastic_hardening, _no_rate_terms),
+}
+
+
+def softening(flow, temperature):
+    """Return the thermal factor theta of ``flow`` at ``temperature`` (K)."""
+    return _MODELS[type(flow)][0](flow, temperature)
+
+
+def hardening(flow, eps):
+    """Return h, r, dh/deps, dr/deps (Pa) of ``flow`` at equivalent plastic strain ``eps``."""
+    return _MODELS[type(flow)][1](flow, eps)
+
+
+def rate_terms(flow):
+    """Return the two reference rates (1/s) and the second rate coefficient b (Pa) of ``flow``."""
+    return _MODELS[type(flow)][2](flow)
+
+
+def _model_part(flow, part):
+    return _MODELS[flow.instance_class][part] if isinstance(flow, types.BaseNamedTuple) else None
+
+
+@overload(softening)
+def _softening_overload(flow, temperature):
+    return _model_part(flow, 0)
+
+
+@overload(hardening)
+def _hardening_overload(flow, eps):
+    return _model_part(flow, 1)
+
+
+@overload(rate_terms)
+def _rate_terms_overload(flow):
+    return _model_part(flow, 2)
+
+
+@kernel
+def flow_stress(flow, eps, rate, temperature):
+    """Return the flow stress and its derivatives in strain and in rate.
+
+    Parameters: ``flow`` a tuple of :mod:`f2s_hpc.materials.params`; ``eps`` equivalent plastic
+    strain; ``rate`` its rate (1/s); ``temperature`` (K). Returns (Pa, Pa, Pa s). The derivative in
+    strain is infinite at zero strain where the exponent is below one.
+    """
+    theta = softening(flow, temperature)
+    h, r, dh, dr = hardening(flow, eps)
+    rate_1, rate_2, b = rate_terms(flow)
+    stress, slope_strain, slope_rate = h, dh, 0.0
+    if rate > rate_1:
+        logarithm = math.log(rate / rate_1)
+        stress += r * logarithm
+        slope_strain += dr * logarithm
+        slope_rate += r / rate
+    if rate > rate_2 and b != 0.0:
+        stress += b * math.log(rate / rate_2)
+        slope_rate += b / rate
+    return theta * stress, theta * slope_strain, theta * slope_rate
+
+
+@kernel
+def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
+    """Solve the implicit radial return for the plastic strain increment.
+
+    Finds d >= 0 with  trial - 3 G d = sigma(eps + d, d / dt, T)  (backward Euler, J2). The left
+    side falls and the right side rises with d, so the root is single and lies between 0 and
+    (trial - sigma(eps, 0, T)) / 3G; Newton steps that leave the bracket become bisections, which
+    always converges, across the infinite slope at zero strain, the logarithm at zero rate and the
+    kinks at the reference rates.
+
+    Parameters: ``trial`` von Mises trial stress (Pa); ``shear_modulus`` (Pa); ``eps`` PEEQ before
+    the step; ``dt`` (s); ``temperature`` (K); ``guess`` a first value of d, any number.
+    Returns (d, flow stress in Pa, iterations); d = 0 and the static flow stress when elastic.
+    """
+    stiffness = 3.0 * shear_modulus
+    static = softening(flow, temperature) * hardening(flow, eps)[0]
+    if trial <= static:
+        return 0.0, static, 0
+    low, high = 0.0, (trial - static) / stiffness
+    increment = guess if low < guess < high else 0.5 * high
+    stress = static
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        stress, slope_strain, slope_rate = flow_stress(flow, eps + increment, increment / dt, temperature)
+        residual = trial - stiffness * increment - stress
+        if abs(residual) <= 1e-13 * trial:
+            return increment, stress, iteration
+        if residual > 0.0:
+            low = increment
+        else:
+            high = increment
+        step = residual / (stiffness + slope_strain + slope_rate / dt)
+        proposal = increment + step
+        if not low < proposal < high:
+            proposal = 0.5 * (low + high)
+        if proposal == increment or high - low <= 1e-16 * high:
+            return proposal, trial - stiffness * proposal, iteration
+        increment = proposal
+    return increment, trial - stiffness * increment, MAX_ITERATIONS
+
+
+__all__ = ["MAX_ITERATIONS", "flow_stress", "hardening", "rate_terms", "return_map", "softening"]

@@ -1,0 +1,259 @@
+"""Batches of spheres: the authors' CSV format, volumes, and the plan of which batch enters in which cycle.
+
+A batch's z is measured from the bottom of the particle layer, in files and in memory.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from f2s_hpc.errors import InputError
+from f2s_hpc.kernels.sphere import sphere_box_volume
+from f2s_hpc.particles.packing import pack, smallest_gap_ratio
+from f2s_hpc.particles.sizes import RosinRammler
+
+COLUMNS = ("x", "y", "z", "r")
+MISFIT_WORTH_A_LINE = 0.01
+LAYER_TOLERANCE = 1e-9  # of the layer height: a sphere written as touching the layer's end does not cross it
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Spheres that enter together: centres ``x``, ``y``, ``z`` and radii ``r``, each (count,) float64 in metres.
+
+    x and y from the corner of the box, z from the bottom of the particle layer.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    r: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of spheres."""
+        return self.r.size
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPlan:
+    """All batches of a run, the batch index of each cycle, and what the user should be told."""
+
+    batches: list[Batch]
+    order: list[int]
+    messages: list[str] = field(default_factory=list)
+
+
+def _metres(text: str, where: str, column: str) -> float:
+    """Return a millimetre number as metres, rounded once (so that written batches read back bit for bit)."""
+    try:
+        value = Decimal(text.strip())
+    except InvalidOperation:
+        value = Decimal("nan")
+    if not value.is_finite():
+        raise InputError(f"{where}: {column} is {text.strip()!r}, but must be a number in millimetres, like 0.0402")
+    return float(value.scaleb(-3))
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    for name in COLUMNS:
+        if name not in header:
+            raise InputError(f"{path}: column {name!r} is missing; the first line must be x,y,z,r (millimetres), "
+                             f"not {','.join(header)!r}")
+    for name in header:
+        if name not in COLUMNS or header.count(name) > 1:
+            raise InputError(f"{path}: unexpected column {name!r}; the first line must be x,y,z,r (millimetres)")
+
+
+def read_csv(path: str | os.PathLike) -> Batch:
+    """Return the batch of a CSV file: first line ``x,y,z,r``, then one sphere per row, millimetres.
+
+    Row 1 is the first sphere; blank lines are skipped. Raises InputError, naming file and row, for a file that cannot
+    be read, a missing or unexpected column, something that is no finite number, r <= 0, or no sphere at all.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not a text file"
+        raise InputError(f"{path}: cannot be read ({reason}); a CSV file with the columns x,y,z,r is needed") from None
+    rows = list(csv.reader(line for line in lines if line.strip()))
+    if not rows:
+        raise InputError(f"{path}: the file is empty; the first line must be x,y,z,r, then one sphere per row")
+    header = [name.strip() for name in rows[0]]
+    _check_header(path, header)
+    spheres = np.empty((len(rows) - 1, 4))
+    for number, row in enumerate(rows[1:], start=1):
+        where = f"{path}: row {number}"
+        if len(row) != len(header):
+            raise InputError(f"{where}: {len(row)} values, but the header x,y,z,r needs 4")
+        for column, text in zip(header, row):
+            spheres[number - 1, COLUMNS.index(column)] = _metres(text, where, column)
+        if spheres[number - 1, 3] <= 0.0:
+            radius_text = row[header.index("r")].strip()
+            raise InputError(f"{where}: r is {radius_text}, but a radius must be positive (millimetres)")
+    if not len(spheres):
+        raise InputError(f"{path}: no sphere below the header; one row x,y,z,r per sphere is needed")
+    return Batch(*(np.ascontiguousarray(column) for column in spheres.T))
+
+
+def write_csv(path: str | os.PathLike, batch: Batch) -> None:
+    """Write a batch in the authors' format (``x,y,z,r``, millimetres), so that ``read_csv`` returns the same bits.
+
+    The decimal digits of each number in metres are shifted by three places: up to 17 significant digits, as many
+    as needed. Written under another name first, so that no half-written file is left.
+    Raises InputError if the place cannot be written.
+    """
+    path = Path(path)
+    partial = path.with_name(path.name + ".part")
+    lines = [",".join(COLUMNS)]
+    for sphere in zip(batch.x, batch.y, batch.z, batch.r):
+        lines.append(",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere))
+    try:
+        partial.write_text("\n".join(lines) + "\n", encoding="ascii")
+        os.replace(partial, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+
+
+def clipped_volume(batch: Batch, box_x: float, box_y: float, box_z: float) -> float:
+    """Return the volume (m3) of the spheres inside the box 0..box_x, 0..box_y, 0..box_z (m).
+
+    Closed form for spheres cut by any of the six sides; spheres are summed one by one (overlaps count twice).
+    """
+    return math.fsum(sphere_box_volume(x, y, z, r, 0.0, float(box_x), 0.0, float(box_y), 0.0, float(box_z))
+                     for x, y, z, r in zip(batch.x, batch.y, batch.z, batch.r))
+
+
+def smallest_gap(batch: Batch) -> float:
+    """Return the smallest centre distance over summed radii; below 1 two spheres overlap. Infinite for one sphere."""
+    return float(smallest_gap_ratio(batch.x, batch.y, batch.z, batch.r))
+
+
+def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height: float) -> None:
+    """Raise InputError, naming ``label`` and the row, for a sphere that is not in the particle layer.
+
+    Spheres must lie within 0..height (m) and touch the footprint: a centre at most one radius outside
+    0..size_x, 0..size_y (the side walls cut such a sphere).
+    """
+    slack = LAYER_TOLERANCE * height
+    for row in range(batch.count):
+        x, y, z, r = (float(values[row]) for values in (batch.x, batch.y, batch.z, batch.r))
+        if z - r < -slack or z + r > height + slack:
+            raise InputError(f"{label}: row {row + 1}: the sphere spans z = {1e3 * (z - r):.6g} to "
+                             f"{1e3 * (z + r):.6g} mm, but the particle layer reaches from 0 to {1e3 * height:.6g} mm")
+        for axis, centre, size in (("x", x, size_x), ("y", y, size_y)):
+            if not -r < centre < size + r:
+                raise InputError(f"{label}: row {row + 1}: the sphere at {axis} = {1e3 * centre:.6g} mm with radius "
+                                 f"{1e3 * r:.6g} mm lies outside the box, {axis} from 0 to {1e3 * size:.6g} mm")
+
+
+def stack(batches: Sequence[Batch], layer_height: float) -> Batch:
+    """Return one batch: the given ones above each other, number i raised by i * layer_height (m)."""
+    return Batch(
+        np.concatenate([batch.x for batch in batches]),
+        np.concatenate([batch.y for batch in batches]),
+        np.concatenate([batch.z + index * layer_height for index, batch in enumerate(batches)]),
+        np.concatenate([batch.r for batch in batches]),
+    )
+
+
+def cycle_order(cycles: int, batches: int, shuffle: bool, generator: np.random.Generator) -> list[int]:
+    """Return the batch index of each cycle: one permutation (shuffled or not), repeated cyclically."""
+    permutation = generator.permutation(batches) if shuffle else np.arange(batches)
+    return [int(permutation[cycle % batches]) for cycle in range(cycles)]
+
+
+def _read_files(scene, height: float, messages: list[str]) -> list[Batch]:
+    size_x, size_y = scene.domain.size[0], scene.domain.size[1]
+    batches = []
+    for path in scene.batches.files:
+        batch = read_csv(path)
+        check_inside(batch, str(path), size_x, size_y, height)
+        _warn_of_overlap(batch, str(path), messages)
+        batches.append(batch)
+    return batches
+
+
+def _given_spheres(scene, messages: list[str]) -> Batch:
+    spheres = np.array(scene.batches.spheres, dtype=np.float64).reshape(-1, 4)
+    batch = Batch(*(np.ascontiguousarray(column) for column in spheres.T))
+    bad = np.flatnonzero(~(np.isfinite(spheres).all(axis=1) & (batch.r > 0.0)))
+    if bad.size:
+        raise InputError(f"batches.spheres: row {bad[0] + 1}: needs four numbers [x, y, z, r] with a positive radius")
+    domain = scene.domain
+    check_inside(batch, "batches.spheres", domain.size[0], domain.size[1], domain.particle_layer_height)
+    _warn_of_overlap(batch, "batches.spheres", messages)
+    return batch
+
+
+def _warn_of_overlap(batch: Batch, label: str, messages: list[str]) -> None:
+    gap = smallest_gap(batch)
+    if gap < 1.0:
+        messages.append(f"{label}: spheres overlap (smallest centre distance over summed radii {gap:.4f}); "
+                        "a cell they share cannot hold both")
+
+
+def _generate(scene, height: float, seeds: list[np.random.SeedSequence], messages: list[str]) -> list[Batch]:
+    """Return scene.batches.count packed batches, one seed each, for a layer of the given height (m)."""
+    wanted = scene.batches
+    if wanted.count < 1 or wanted.particles < 1:
+        raise InputError(f"batches: count {wanted.count} of {wanted.particles} particles is nothing to spray; "
+                         "set batches.count and batches.particles, batches.files, or batches.spheres")
+    percentiles = (wanted.diameter_d10, wanted.diameter_d50, wanted.diameter_d90)
+    sizes = RosinRammler.fit(*percentiles, wanted.diameter_min, wanted.diameter_max)
+    if max(map(abs, sizes.misfit(*percentiles))) > MISFIT_WORTH_A_LINE:
+        messages.append(sizes.message(*percentiles))
+    box = (float(scene.domain.size[0]), float(scene.domain.size[1]), height)
+    batches = []
+    for number, seed in enumerate(seeds, start=1):
+        generator = np.random.Generator(np.random.PCG64(seed))
+        diameters = sizes.sample_by_number(wanted.particles, generator)
+        packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts)
+        if packed.placed == 0:
+            raise InputError(f"batches: no particle of batch {number} fits the layer; {packed.message()}")
+        if packed.placed < packed.requested:
+            messages.append(f"batch {number} of {wanted.count}: {packed.message()}")
+        batches.append(Batch(packed.x, packed.y, packed.z, packed.r))
+    return batches
+
+
+def make_batches(scene) -> BatchPlan:
+    """Read or generate the batches of a scene and order them over the cycles. For rank 0; same seed, same bits.
+
+    Recurring scheme: each batch fills the particle layer; ``order[c]`` is the batch of cycle c, one permutation
+    (shuffled from the seed if asked) repeated cyclically. Standard scheme: the layer is cut into
+    ``batches.count`` equal layers (at least one per file), filled from the bottom in the order in which the recurring
+    scheme would spray (so fewer files than layers repeat), and becomes one batch for the one cycle. Explicit
+    spheres are one batch. Batches are generated for the footprint as written in the scene, so they do not
+    depend on the cell size.
+    Raises InputError for unreadable files, spheres outside the layer, or nothing to place.
+    """
+    wanted, height = scene.batches, float(scene.domain.particle_layer_height)
+    cycles = scene.cycles.count
+    standard = scene.scheme == "standard"
+    if standard and cycles != 1:
+        raise InputError(f"cycles.count: the standard scheme paints everything at once, so 1 is needed, not {cycles}")
+    messages: list[str] = []
+    shuffle_seed, *batch_seeds = np.random.SeedSequence(wanted.seed).spawn(max(wanted.count, 0) + 1)
+    shuffler = np.random.Generator(np.random.PCG64(shuffle_seed))
+    if len(wanted.spheres):
+        return BatchPlan([_given_spheres(scene, messages)], [0] * cycles, messages)
+    layers = max(wanted.count, len(wanted.files), 1) if standard else 1
+    layer_height = height / layers
+    if len(wanted.files):
+        batches = _read_files(scene, layer_height, messages)
+    else:
+        batches = _generate(scene, layer_height, batch_seeds, messages)
+    if not standard:
+        return BatchPlan(batches, cycle_order(cycles, len(batches), wanted.shuffle, shuffler), messages)
+    order = cycle_order(layers, len(batches), wanted.shuffle, shuffler)
+    return BatchPlan([stack([batches[index] for index in order], layer_height)], [0], messages)

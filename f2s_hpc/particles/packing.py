@@ -1,0 +1,155 @@
+"""Random placement of spheres without overlap: each sphere goes to the first free of its random places.
+
+Largest first, because a large sphere finds no room among many small ones. Neighbours are looked up in
+a grid of bins, so thousands of spheres take a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from f2s_hpc._jit import kernel
+from f2s_hpc.errors import InputError
+
+FIRST_BLOCK, LARGEST_BLOCK = 64, 4096
+
+
+@dataclass(frozen=True, eq=False)
+class PackingResult:
+    """Placed spheres (m, largest first) and what the packing reached.
+
+    ``x``, ``y``, ``z``, ``r`` have shape (placed,); ``reached_gap`` is the smallest centre distance over summed
+    radii (infinite for fewer than two spheres).
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    r: np.ndarray
+    placed: int
+    requested: int
+    reached_gap: float
+    gap_factor: float
+    attempts: int
+    box: tuple[float, float, float]
+
+    def message(self) -> str:
+        """Return one sentence: how many spheres were placed, how densely, and what to change if not all."""
+        lx, ly, lz = (f"{1e3 * length:g}" for length in self.box)
+        share = 4.0 / 3.0 * np.pi * float(np.sum(self.r**3)) / float(np.prod(self.box))
+        text = (f"placed {self.placed} of {self.requested} spheres in {lx} x {ly} x {lz} mm at gap factor "
+                f"{self.gap_factor:g} (reached {self.reached_gap:.4f}, {100 * share:.1f} % of the volume)")
+        if self.placed < self.requested:
+            text += (f"; {self.requested - self.placed} found no room in {self.attempts} attempts each: "
+                     "ask for fewer particles, a smaller gap factor or a taller layer")
+        return text
+
+
+@kernel
+def _first_free(places, radius, gap_factor, largest, x, y, z, r, head, following, bin_size):
+    """Return the index of the first row of ``places`` (n, 3) where a sphere fits, -1 if none.
+
+    ``head`` (bins per axis) holds the newest sphere of a bin, ``following`` the next one of the same bin, -1 ends.
+    """
+    reach = gap_factor * (radius + largest)
+    bins_x, bins_y, bins_z = head.shape
+    for n in range(places.shape[0]):
+        px, py, pz = places[n, 0], places[n, 1], places[n, 2]
+        free = True
+        for bi in range(max(0, int((px - reach) / bin_size[0])), min(bins_x, int((px + reach) / bin_size[0]) + 1)):
+            for bj in range(max(0, int((py - reach) / bin_size[1])), min(bins_y, int((py + reach) / bin_size[1]) + 1)):
+                for bk in range(max(0, int((pz - reach) / bin_size[2])),
+                                min(bins_z, int((pz + reach) / bin_size[2]) + 1)):
+                    other = head[bi, bj, bk]
+                    while other >= 0 and free:
+                        wanted = gap_factor * (radius + r[other])
+                        squared = (px - x[other]) ** 2 + (py - y[other]) ** 2 + (pz - z[other]) ** 2
+                        free = squared >= wanted * wanted
+                        other = following[other]
+                    if not free:
+                        break
+                if not free:
+                    break
+            if not free:
+                break
+        if free:
+            return n
+    return -1
+
+
+@kernel
+def smallest_gap_ratio(x, y, z, r):
+    """Return the smallest centre distance over summed radii among all pairs; infinite for fewer than two."""
+    smallest = np.inf
+    for first in range(x.size):
+        for second in range(first + 1, x.size):
+            squared = (x[first] - x[second]) ** 2 + (y[first] - y[second]) ** 2 + (z[first] - z[second]) ** 2
+            summed = r[first] + r[second]
+            smallest = min(smallest, squared / (summed * summed))
+    return np.sqrt(smallest)
+
+
+def _bins(box: tuple[float, float, float], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the empty bins (-1) and their edge lengths: about one sphere per bin."""
+    edge = (box[0] * box[1] * box[2] / max(count, 1)) ** (1.0 / 3.0)
+    shape = [max(1, int(length / edge)) for length in box]
+    return np.full(shape, -1, dtype=np.int64), np.array(box) / shape
+
+
+def _find_place(radius: float, box: tuple[float, float, float], generator: np.random.Generator, attempts: int,
+                search) -> np.ndarray | None:
+    """Return the first free place (3,) among ``attempts`` random ones, ``None`` if all are taken."""
+    low = np.array([0.0, 0.0, radius])
+    span = np.array([box[0], box[1], box[2] - 2.0 * radius])
+    block, left = FIRST_BLOCK, attempts
+    while left > 0:
+        places = low + generator.random((min(block, left), 3)) * span
+        places[:, 2] = np.clip(places[:, 2], radius, box[2] - radius)  # round-off must not leave the layer
+        chosen = search(places, radius)
+        if chosen >= 0:
+            return places[chosen]
+        left -= places.shape[0]
+        block = min(2 * block, LARGEST_BLOCK)
+    return None
+
+
+def pack(diameters: np.ndarray, box: tuple[float, float, float], gap_factor: float, generator: np.random.Generator,
+         attempts: int) -> PackingResult:
+    """Place spheres of the given diameters (m, shape (n,)) at random in the box (lx, ly, lz) (m).
+
+    Centre distances are at least ``gap_factor`` times the summed radii. Centres lie anywhere in 0..lx and
+    0..ly (spheres may cross the side walls), and r <= z <= lz - r. Each sphere tries ``attempts`` places and is
+    left out if none is free (``placed`` < ``requested``; see ``PackingResult.message``).
+    Raises InputError for a gap factor below 1, no attempts, an empty box or a diameter that is not positive.
+    """
+    radii = np.sort(0.5 * np.asarray(diameters, dtype=np.float64))[::-1]
+    if not (gap_factor >= 1.0 and attempts >= 1 and min(box) > 0.0):
+        raise InputError(f"packing: gap_factor {gap_factor:g}, attempts {attempts}, box {box} m: "
+                         "gap_factor >= 1, attempts >= 1 and positive edges are needed")
+    if radii.size and not (np.isfinite(radii).all() and radii[-1] > 0.0):
+        raise InputError("packing: every diameter must be a positive number")
+    x, y, z, r = (np.empty(radii.size) for _ in range(4))
+    head, bin_size = _bins(box, radii.size)
+    following = np.empty(radii.size, dtype=np.int64)
+    placed = 0
+
+    def search(places: np.ndarray, radius: float) -> int:
+        largest = r[0] if placed else 0.0
+        return _first_free(places, radius, gap_factor, largest, x, y, z, r, head, following, bin_size)
+
+    for radius in radii:
+        if 2.0 * radius > box[2]:
+            continue
+        place = _find_place(radius, box, generator, attempts, search)
+        if place is None:
+            continue
+        x[placed], y[placed], z[placed] = place
+        r[placed] = radius
+        here = tuple(np.minimum((place / bin_size).astype(np.int64), np.array(head.shape) - 1))
+        following[placed], head[here] = head[here], placed
+        placed += 1
+    x, y, z, r = (values[:placed].copy() for values in (x, y, z, r))
+    gap = float(smallest_gap_ratio(x, y, z, r))
+    return PackingResult(x, y, z, r, placed, radii.size, gap, gap_factor, attempts, tuple(box))

@@ -1,0 +1,100 @@
+"""Particle sizes: a Rosin-Rammler volume distribution, truncated to the sieved range of the powder.
+
+Untruncated, the volume share of particles below diameter d is 1 - exp(-(d / scale)^exponent). A
+powder sheet gives three percentiles for two parameters, so they are met in the least-squares sense.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import cumulative_trapezoid
+from scipy.optimize import least_squares
+
+from f2s_hpc.errors import InputError
+
+PERCENTILES = (0.10, 0.50, 0.90)
+TABLE_POINTS = 16385
+
+
+@dataclass(frozen=True)
+class RosinRammler:
+    """Truncated Rosin-Rammler distribution of particle volume over diameter.
+
+    ``scale`` (m) and ``exponent`` (-) as in 1 - exp(-(d / scale)^exponent); ``minimum`` and ``maximum`` (m)
+    are the smallest and largest diameter.
+    """
+
+    scale: float
+    exponent: float
+    minimum: float
+    maximum: float
+
+    def __post_init__(self) -> None:
+        if not (self.scale > 0 and self.exponent > 0 and 0 < self.minimum < self.maximum):
+            raise InputError(f"particle sizes: {self} needs scale > 0, exponent > 0 and 0 < minimum < maximum")
+
+    def volume_cdf(self, diameter: ArrayLike) -> np.ndarray:
+        """Return the volume share (0..1) of particles smaller than ``diameter`` (m, any shape)."""
+        d = np.clip(np.asarray(diameter, dtype=np.float64), self.minimum, self.maximum)
+        start, end = self._exponents_at_ends()
+        return np.expm1(start - (d / self.scale) ** self.exponent) / np.expm1(start - end)
+
+    def volume_percentile(self, q: ArrayLike) -> np.ndarray:
+        """Return the diameter (m) below which the volume share ``q`` (0..1, any shape) lies."""
+        start, end = self._exponents_at_ends()
+        power = start - np.log1p(np.asarray(q, dtype=np.float64) * np.expm1(start - end))
+        return np.clip(self.scale * power ** (1.0 / self.exponent), self.minimum, self.maximum)
+
+    def _exponents_at_ends(self) -> tuple[float, float]:
+        return (self.minimum / self.scale) ** self.exponent, (self.maximum / self.scale) ** self.exponent
+
+    @classmethod
+    def fit(cls, d10: float, d50: float, d90: float, minimum: float, maximum: float) -> RosinRammler:
+        """Return the distribution whose truncated volume percentiles come closest to D10, D50, D90 (m).
+
+        Least squares in the logarithm of the diameters, so each percentile counts by its relative
+        deviation; ``misfit`` tells what is left. Raises InputError unless minimum < D10 < D50 < D90 < maximum.
+        """
+        if not 0 < minimum < d10 < d50 < d90 < maximum:
+            sizes = ", ".join(f"{1e6 * value:g}" for value in (minimum, d10, d50, d90, maximum))
+            raise InputError("particle sizes: diameter_min < diameter_d10 < diameter_d50 < diameter_d90 < diameter_max "
+                             f"is needed, not {sizes} um")
+        wanted = np.log([d10, d50, d90])
+
+        def deviation(parameters: np.ndarray) -> np.ndarray:
+            trial = cls(float(np.exp(parameters[0])), float(np.exp(parameters[1])), minimum, maximum)
+            return np.log(trial.volume_percentile(PERCENTILES)) - wanted
+
+        spread = np.log(np.log(0.1) / np.log(0.9)) / np.log(d90 / d10)
+        bounds = ([np.log(minimum), np.log(0.05)], [np.log(maximum) + 1.0, np.log(50.0)])
+        first = np.clip([np.log(d50), np.log(spread)], np.add(bounds[0], 1e-6), np.subtract(bounds[1], 1e-6))
+        best = least_squares(deviation, first, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        return cls(float(np.exp(best.x[0])), float(np.exp(best.x[1])), minimum, maximum)
+
+    def misfit(self, d10: float, d50: float, d90: float) -> tuple[float, float, float]:
+        """Return the relative deviations (this distribution's percentile / wanted - 1) of D10, D50, D90."""
+        own = self.volume_percentile(PERCENTILES)
+        return float(own[0] / d10 - 1.0), float(own[1] / d50 - 1.0), float(own[2] / d90 - 1.0)
+
+    def message(self, d10: float, d50: float, d90: float) -> str:
+        """Return one sentence: the fitted parameters and the percentiles they give against the wanted ones."""
+        own = " / ".join(f"{1e6 * value:.1f}" for value in self.volume_percentile(PERCENTILES))
+        wanted = " / ".join(f"{1e6 * value:.1f}" for value in (d10, d50, d90))
+        return (f"particle sizes: Rosin-Rammler with scale {1e6 * self.scale:.2f} um and exponent {self.exponent:.3f} "
+                f"has D10 / D50 / D90 of {own} um, wanted {wanted} um (two parameters cannot meet all three)")
+
+    def sample_by_number(self, count: int, generator: np.random.Generator) -> np.ndarray:
+        """Return ``count`` diameters (m), drawn particle by particle.
+
+        The number density is the volume density over d^3, so that the drawn particles' volume follows
+        this distribution; inverse of the cumulative number on a fine table in log(d).
+        """
+        d = np.geomspace(self.minimum, self.maximum, TABLE_POINTS)
+        power = (d / self.scale) ** self.exponent
+        number_per_log_d = power * np.exp(power[0] - power) / d**3
+        cumulative = cumulative_trapezoid(number_per_log_d, np.log(d), initial=0.0)
+        diameters = np.interp(generator.random(count) * cumulative[-1], cumulative, d)
+        return np.clip(diameters, self.minimum, self.maximum)

@@ -1,0 +1,32 @@
+"""Conduction, explicit, in as many sub-steps as its own limit asks for."""
+
+from __future__ import annotations
+
+import math
+
+from f2s_hpc.kernels import conduction
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+LARGEST_NUMBER = 1.0 / 6.0
+"""Explicit limit of k dt / (rho c_p dx^2) in three dimensions."""
+
+
+def diffusivity(model: Model) -> float:
+    """Return the thermal diffusivity k / (rho c_p) in m2/s."""
+    return model.bulk.conductivity / (model.bulk.density * model.bulk.specific_heat)
+
+
+def conduct(state: State, model: Model, dt: float) -> None:
+    """Conduct heat over ``dt``; ghosts of temperature must be valid before and are valid after, but for the last sub-step."""
+    number = diffusivity(model) * dt / model.dx**2
+    substeps = max(1, math.ceil(number / LARGEST_NUMBER))
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    gained, temperature = state.flat["volume_flux"], state.flat["temperature"]
+    for substep in range(substeps):
+        conduction.heat_gained(runs, count, state.cell_window(), shape, number / substeps, state.flat["mass"],
+                               temperature, gained)
+        conduction.add_heat(runs, count, state.cell_window(), shape, gained, temperature)
+        if substep + 1 < substeps:
+            state.exchange(("temperature",))

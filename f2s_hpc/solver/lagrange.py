@@ -1,0 +1,96 @@
+"""The Lagrangian half of the step: forces, kick, light nodes, strain and stress."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from f2s_hpc.fields import VELOCITY
+from f2s_hpc.kernels import force, momentum, remap, strain
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+
+def forces(state: State, model: Model, ledger_power: np.ndarray) -> tuple[float, int]:
+    """Sum the cells' forces on the owned nodes.
+
+    Reads mass, volume fraction, stress (ghosts valid) and the velocity of the last step; writes the
+    nodal masses and forces. ``ledger_power`` int64[2] receives the power of shock viscosity and hourglass control.
+    Returns the largest effective wave speed (m/s) and the flat index of its cell.
+    """
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    momentum.clear_nodes(runs, count, shape, *state.force)
+    remap.nodal_masses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["mass"],
+                       state.flat["nodal_mass"])
+    s = model.settings
+    return force.nodal_forces(
+        runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, model.bulk,
+        model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
+        state.stress, *state.velocity, *state.force, model.energy_quantum * 1e9, ledger_power)
+
+
+def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
+    """Accelerate the owned nodes over ``dt`` and hold the walls; ghosts of velocity are valid after."""
+    runs, count = state.runs
+    sums = np.zeros(4, dtype=np.int64)
+    boundary = state.boundary
+    momentum.accelerate(
+        runs, count, state.node_window(), state.part.cell_shape[1:], dt, model.dx, model.bulk.density,
+        model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],
+        *state.force, *state.velocity, model.energy_quantum, sums)
+    for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld"), sums):
+        ledger.add(name, value)
+    state.exchange(VELOCITY)
+
+
+def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float, float]:
+    """Exchange momentum between light neighbours and cap racing fragments.
+
+    Returns the largest speed (m/s) of light nodes and of heavy nodes on this rank.
+    """
+    s = model.settings
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    nodal = state.flat["nodal_mass"]
+    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit,
+                            nodal, *state.velocity, *state.force)
+    sums = np.zeros(4, dtype=np.int64)
+    speeds = momentum.apply_exchange(
+        runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, state.boundary.weights,
+        model.bulk.density, model.dx, nodal, *state.velocity, *state.force, model.energy_quantum,
+        model.mass_quantum * model.cell_mass, sums)
+    for name, value in zip(("exchanged", "capped", "nodes_capped"), sums):
+        ledger.add(name, value)
+    state.boundary.hold([state.views[n] for n in VELOCITY])
+    state.exchange(VELOCITY)
+    return speeds
+
+
+def deform(state: State, model: Model, dt: float, ledger: Ledger) -> tuple[float, int]:
+    """Strain the cells with the new velocity: stress, plastic flow, heating, closure, face fluxes.
+
+    Returns the largest velocity-gradient norm (1/s) and the flat index of its cell.
+    """
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    full = ((3, 3, 3), (3, 3, 3))
+    strain.face_fluxes(runs, count, state.cell_window(*full), shape, dt / model.dx, *state.velocity, *state.sweep)
+    sums = np.zeros(4, dtype=np.int64)
+    s = model.settings
+    gradient, where = strain.lagrangian_step(
+        runs, count, state.cell_window(), shape, dt, model.dx, s.largest_strain, model.bulk, model.eos, model.flow,
+        s.viscosity, 1.0 if s.viscous_heating else 0.0, state.flat["mass"], state.flat["volume_fraction"],
+        state.energy, state.stress, state.flat["peeq"], state.flat["temperature"], *state.velocity,
+        model.energy_quantum, sums)
+    for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat"), sums):
+        ledger.add(name, value)
+    state.exchange(tuple(n for n in state.moving_cells if n != "mass"))
+    return gradient, where
+
+
+def finite(value: float) -> float:
+    """Return ``value``, or infinity where it is not a number: infinity survives a maximum over ranks."""
+    return value if not math.isnan(value) else math.inf

@@ -1,0 +1,43 @@
+"""What the step needs to know besides the state: material tuples and numerical settings."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from f2s_hpc.materials.params import Bulk
+
+
+class Settings(NamedTuple):
+    """Numerical settings of the scheme (see the scene's ``numerics`` section)."""
+
+    courant: float
+    remap_courant: float  # largest share of a cell that material may cross in a step
+    strain_per_step: float
+    viscosity: tuple[float, float]  # linear, quadratic
+    viscous_heating: bool
+    hourglass: float
+    exchange_strength: float
+    exchange_mass_limit: float  # full nodes
+    light_mass_floor: float  # full nodes
+    speed_cap: float  # m/s, for nodes lighter than exchange_mass_limit
+    conduction: bool
+    second_order: bool
+    dust: float  # full cells
+    largest_strain: float  # strain per step beyond which a light cell's increment is scaled down
+
+
+class Model(NamedTuple):
+    """Material and settings of a run; ``eos`` and ``flow`` choose the models by their type."""
+
+    dx: float
+    bulk: Bulk
+    eos: NamedTuple
+    flow: NamedTuple
+    settings: Settings
+    energy_quantum: float  # J, unit of the exact integer sums of energy
+    mass_quantum: float  # full cells, unit of the exact integer sums of mass
+
+    @property
+    def cell_mass(self) -> float:
+        """Mass of a full cell at zero pressure (kg)."""
+        return self.bulk.density * self.dx**3

@@ -1,0 +1,111 @@
+"""The remap half of the step: three directional sweeps back onto the fixed grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc.fields import VELOCITY
+from f2s_hpc.grid.box import SIDES
+from f2s_hpc.kernels import flux, remap
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+SWEEP_ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
+
+
+def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
+    """Carry every field back onto the grid; the order of the three sweeps changes every step."""
+    done = 0
+    for position, axis in enumerate(SWEEP_ORDERS[step % len(SWEEP_ORDERS)]):
+        _fluxes(state, model, axis, done, ledger)
+        _sweep_nodes(state, model, axis)
+        _sweep_cells(state, model, axis, done)
+        done |= 1 << axis
+        if position == 2:
+            _close(state, model, ledger)
+        state.boundary.hold([state.views[n] for n in VELOCITY])
+        state.exchange(state.ghosted)
+
+
+def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) -> None:
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    low, high = [1, 1, 1], [1, 1, 1]
+    low[axis], high[axis] = 2, 2
+    window = state.cell_window(tuple(low), tuple(high))
+    arrays = (*state.sweep, state.flat["mass"], state.flat["volume_fraction"], state.flat["volume_flux"])
+    flux.volume_fluxes(runs, count, window, shape, axis, done, *arrays)
+    low[axis] = 1
+    window = state.cell_window(tuple(low), tuple(high))
+    flux.mass_fluxes(runs, count, window, shape, axis, done, int(model.settings.second_order), *arrays,
+                     state.flat["mass_flux"])
+    state.boundary.stop_inflow(axis, state.views["volume_flux"], state.views["mass_flux"])
+    _count_losses(state, model, axis, ledger)
+
+
+def _count_losses(state: State, model: Model, axis: int, ledger: Ledger) -> None:
+    """Enter what leaves through open faces into the ledger."""
+    k0, k1, j0, j1, i0, i1 = state.cell_window()
+    bounds = [(i0, i1), (j0, j1), (k0, k1)]
+    del bounds[axis]
+    lows, highs = tuple(b[0] for b in bounds), tuple(b[1] for b in bounds)
+    for side in state.boundary.open_sides(axis):
+        outward = 1.0 if SIDES.index(side) % 2 else -1.0
+        mass, energy = flux.through_plane(
+            state.flat["mass_flux"], state.boundary.wall_plane(side), state.part.cell_shape[1:], lows, highs, axis,
+            outward, *state.velocity, model.mass_quantum, model.energy_quantum / model.cell_mass)
+        ledger.add("mass_left", mass)
+        ledger.add("through_faces", energy)
+
+
+def _sweep_nodes(state: State, model: Model, axis: int) -> None:
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    remap.nodal_masses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["mass"],
+                       state.flat["nodal_mass"])
+    high = [0, 0, 0]
+    high[axis] = 1
+    remap.dual_fluxes(runs, count, state.node_window(high=tuple(high)), shape, axis, state.flat["mass_flux"],
+                      state.flat["dual_flux"])
+    ny, nx = (n + 1 for n in shape)
+    _sweep_fields(state, model, axis, state.node_window(), (nx * ny, nx), state.offsets(VELOCITY),
+                  state.flat["nodal_mass"], state.flat["dual_flux"])
+
+
+def _sweep_cells(state: State, model: Model, axis: int, done: int) -> None:
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    ny, nx = shape
+    _sweep_fields(state, model, axis, state.cell_window(), (nx * ny, nx), state.offsets(state.carried_cells),
+                  state.flat["mass"], state.flat["mass_flux"])
+    remap.sweep_mass(runs, count, state.cell_window(), shape, axis, done, *state.sweep, state.flat["volume_flux"],
+                     state.flat["mass_flux"], state.flat["mass"], state.flat["volume_fraction"])
+
+
+def _sweep_fields(state: State, model: Model, axis: int, window: tuple[int, ...], strides: tuple[int, int],
+                  offsets: np.ndarray, masses: np.ndarray, moved: np.ndarray) -> None:
+    ny, nx = (n + 1 for n in state.part.cell_shape[1:])
+    moved_strides = (nx * ny, nx)
+    second = int(model.settings.second_order)
+    memory = state.pool.memory
+    if axis == 0:
+        runs, count = state.runs
+        remap.sweep_along_rows(runs, count, window, strides, moved_strides, second, memory, offsets, masses, moved)
+        return
+    columns, count = state.columns(axis)
+    k0, k1, j0, j1, i0, i1 = window
+    if axis == 2:
+        window = (j0, j1, k0, k1, i0, i1)
+        strides, moved_strides = strides[::-1], moved_strides[::-1]
+    remap.sweep_across_rows(columns, count, window, strides, moved_strides, second, memory, offsets, masses, moved)
+
+
+def _close(state: State, model: Model, ledger: Ledger) -> None:
+    runs, count = state.runs
+    sums = np.zeros(1, dtype=np.int64)
+    remap.close_cells(runs, count, state.cell_window(), state.part.cell_shape[1:], model.settings.dust,
+                      model.bulk.spall_pressure, flux.FULL, model.bulk.bulk_modulus, state.flat["mass"],
+                      state.flat["volume_fraction"], state.pool.memory, state.offsets(state.carried_cells),
+                      model.mass_quantum, sums)
+    ledger.add("mass_capped", sums[0])

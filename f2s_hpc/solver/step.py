@@ -1,0 +1,77 @@
+"""One time step, on one screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f2s_hpc.errors import UnstableStep
+from f2s_hpc.solver import heat, lagrange, remap, timestep
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+SMALLEST_SHARE = 1e-4
+"""A step this much smaller than the sound limit of the material at rest is a collapse."""
+
+
+@dataclass
+class Clock:
+    """Where the run is: time (s) as the cycle's start plus the time in the cycle, steps, last step."""
+
+    cycle_start: float = 0.0
+    in_cycle: float = 0.0
+    steps: int = 0
+    dt: float | None = None
+    limit: str = ""
+    limits: timestep.Limits = field(default_factory=timestep.Limits)
+    fastest_heavy: float = 0.0
+    active_cell_steps: int = 0
+
+    @property
+    def time(self) -> float:
+        """Time since the start of the run (s)."""
+        return self.cycle_start + self.in_cycle
+
+
+def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end: float) -> None:
+    """Take one step, or stop all ranks with ``UnstableStep``. ``cycle_end``: duration of the cycle (s).
+
+    Lagrangian step on the moving mesh, then remap back onto the fixed one; velocity at half steps, everything else
+    at whole steps. All ghosts are valid before and after.
+    """
+    state.update_activity()
+    clock.active_cell_steps += state.active_cells()
+    power = np.zeros(2, dtype=np.int64)
+    limits = clock.limits
+    limits.wave, limits.wave_cell = lagrange.forces(state, model, power)
+    size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle)
+    _refuse_collapse(state, model, size, limits)
+    dt = size.dt
+    ledger.add_power("viscous_power", power[0], dt)
+    ledger.add_power("hourglass_power", power[1], dt)
+
+    lagrange.kick(state, model, dt, ledger)
+    limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
+    if model.settings.conduction:
+        heat.conduct(state, model, dt)
+    limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger)
+    remap.remap_all(state, model, clock.steps, ledger)
+
+    clock.fastest_heavy = max(clock.fastest_heavy, limits.heavy_speed)
+    clock.in_cycle += dt
+    clock.steps += 1
+    clock.dt, clock.limit = dt, size.limit
+
+
+def _refuse_collapse(state: State, model: Model, size: timestep.StepSize, limits: timestep.Limits) -> None:
+    """Raise ``UnstableStep`` when the step has collapsed; names the limit and the cell."""
+    stiffness = model.bulk.bulk_modulus + 4.0 / 3.0 * model.bulk.shear_modulus
+    sound = (stiffness / model.bulk.density) ** 0.5
+    if size.limit == "end of cycle" or size.dt > SMALLEST_SHARE * model.settings.courant * model.dx / sound:
+        return
+    which = 3 if size.limit == "strain" else 0
+    local = (limits.wave, limits.gradient)[which // 3]
+    cell = timestep.locate(state, local, size.rates[which], (limits.wave_cell, limits.gradient_cell)[which // 3])
+    raise UnstableStep(f"the time step collapsed to {size.dt:.3g} s, limited by {size.limit}, near cell (i, j, k) = {cell}")

@@ -1,0 +1,129 @@
+"""The state of a run on one rank: the arrays of every declared field, and which of them are active."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc import fields
+from f2s_hpc.grid.boundary import Boundary
+from f2s_hpc.grid.box import GHOST, Part
+from f2s_hpc.grid.decomposition import Decomposition
+from f2s_hpc.grid.halo import Pool
+from f2s_hpc.kernels import activity
+
+
+class State:
+    """All fields of this rank, with ghosts.
+
+    ``views[name]``: local array [k, j, i] of a field; ``flat[name]``: the same memory as one row, as the kernels take it.
+    ``runs``: active rows; ``columns``: active columns for the y and z sweeps.
+    """
+
+    def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool) -> None:
+        self.decomposition = decomposition
+        self.part: Part = decomposition.part
+        self.fields = fields.needed(mie_grueneisen)
+        self.pool = Pool(decomposition, [f.name for f in self.fields])
+        self.views = self.pool.views
+        self.flat = {name: view.reshape(-1) for name, view in self.views.items()}
+        self.boundary = Boundary(self.part, sides)
+        names = set(self.views)
+        self.moving_cells = tuple(f.name for f in self.fields if f.advected and f.location == fields.CELL)
+        self.carried_cells = tuple(n for n in self.moving_cells if n not in ("mass", "volume_fraction"))
+        self.saved = tuple(f.name for f in self.fields if f.saved)
+        self.ghosted = tuple(f.name for f in self.fields if f.ghosted)
+        self.empty = np.zeros(1)
+        self.energy = self.flat["internal_energy"] if "internal_energy" in names else self.empty
+        self.stress = tuple(self.flat[n] for n in fields.STRESS)
+        self.velocity = tuple(self.flat[n] for n in fields.VELOCITY)
+        self.force = tuple(self.flat[n] for n in fields.FORCE)
+        self.sweep = tuple(self.flat[n] for n in fields.SWEEP)
+        self._prepare_activity()
+
+    # --- active blocks -----------------------------------------------------------------------------
+
+    def _prepare_activity(self) -> None:
+        nz, ny, nx = self.part.cell_shape
+        shape = (nz, ny, activity.block_count(nx))
+        self.active = np.ones(shape, dtype=np.uint8)
+        self._previous = np.ones(shape, dtype=np.uint8)
+        self._holds = np.zeros(shape, dtype=np.uint8)
+        self._runs = activity.empty_list(1024, 4)
+        self._columns = [activity.empty_list(1024, 5), activity.empty_list(1024, 5)]
+        self.run_count, self.column_counts = 0, [0, 0]
+        location = {f.name: f.location for f in self.fields}
+        self.cell_offsets = self.offsets(n for n in self.views if location[n] == fields.CELL)
+        self.node_offsets = self.offsets(n for n in self.views if location[n] == fields.NODE)
+
+    def offsets(self, names) -> np.ndarray:
+        """Return where the named fields start in the pool's memory (int64)."""
+        return np.array([self.pool.offsets[n] for n in names], dtype=np.int64)
+
+    def everything_active(self) -> None:
+        """Forget what was active: after material was put in, the next update looks everywhere."""
+        self.active[:] = 1
+
+    def update_activity(self) -> None:
+        """Find the active blocks from the present mass; zero what has just fallen outside them."""
+        nz, ny, nx = self.part.cell_shape
+        self._previous[:] = self.active
+        activity.mark_material(self.flat["mass"], (nz, ny, nx), self.active, self._holds)
+        activity.grow_active(self._holds, self.active)
+        activity.retire(self._previous, self.active, (ny, nx), self.pool.memory, self.cell_offsets, self.node_offsets)
+        self.run_count = activity.list_runs(self.active, nx, self._runs)
+        if self.run_count > len(self._runs):
+            self._runs = activity.empty_list(2 * self.run_count, 4)
+            activity.list_runs(self.active, nx, self._runs)
+        for axis in (1, 2):
+            count = activity.list_columns(self.active, nx, axis, self._columns[axis - 1])
+            if count > len(self._columns[axis - 1]):
+                self._columns[axis - 1] = activity.empty_list(2 * count, 5)
+                count = activity.list_columns(self.active, nx, axis, self._columns[axis - 1])
+            self.column_counts[axis - 1] = count
+
+    @property
+    def runs(self) -> tuple[np.ndarray, int]:
+        """Active runs and their number, as kernels take them."""
+        return self._runs, self.run_count
+
+    def columns(self, axis: int) -> tuple[np.ndarray, int]:
+        """Active columns for a sweep along ``axis`` (1 or 2) and their number."""
+        return self._columns[axis - 1], self.column_counts[axis - 1]
+
+    def active_cells(self) -> int:
+        """Return how many owned cells are active on this rank."""
+        runs = self._runs[:self.run_count].astype(np.int64)
+        k0, k1, j0, j1, i0, i1 = self.cell_window()
+        inside = (runs[:, 0] >= k0) & (runs[:, 0] < k1) & (runs[:, 1] >= j0) & (runs[:, 1] < j1)
+        length = np.minimum(runs[:, 3], i1) - np.maximum(runs[:, 2], i0)
+        return int(np.maximum(length, 0)[inside].sum())
+
+    # --- index windows ------------------------------------------------------------------------------
+
+    def cell_window(self, low: tuple[int, int, int] = (0, 0, 0),
+                    high: tuple[int, int, int] = (0, 0, 0)) -> tuple[int, int, int, int, int, int]:
+        """Return (k0, k1, j0, j1, i0, i1) of the owned cells, wider by ``low`` and ``high`` (x, y, z) cells."""
+        return self._window(self.part.count, low, high)
+
+    def node_window(self, low: tuple[int, int, int] = (0, 0, 0),
+                    high: tuple[int, int, int] = (0, 0, 0)) -> tuple[int, int, int, int, int, int]:
+        """Return (k0, k1, j0, j1, i0, i1) of the owned nodes, wider by ``low`` and ``high`` (x, y, z) nodes."""
+        return self._window(self.part.node_count, low, high)
+
+    @staticmethod
+    def _window(count, low, high):
+        pairs = [(GHOST - a, GHOST + n + b) for n, a, b in zip(count, low, high)]
+        return tuple(bound for pair in pairs[::-1] for bound in pair)
+
+    # --- ghosts -------------------------------------------------------------------------------------
+
+    def exchange(self, names: tuple[str, ...]) -> None:
+        """Fill all ghosts of the named fields: from the neighbours first, then behind the sides of the box."""
+        self.pool.exchange(names)
+        self.boundary.fill(self.views, names)
+
+    def owned(self, name: str) -> np.ndarray:
+        """Return the owned part of a field, a view [k, j, i]."""
+        part = self.part
+        return self.views[name][part.owned_cells if fields.BY_NAME[name].location == fields.CELL
+                                else part.owned_nodes]

@@ -1,0 +1,318 @@
+"""Particle sizes, packing, the batch files and the plan of batches over the cycles."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from f2s_hpc.errors import InputError
+from f2s_hpc.particles.batch import (Batch, clipped_volume, cycle_order, make_batches, read_csv, smallest_gap, stack,
+                                     write_csv)
+from f2s_hpc.particles.packing import pack, smallest_gap_ratio
+from f2s_hpc.particles.sizes import RosinRammler
+
+UM, MM = 1e-6, 1e-3
+POWDER = (19 * UM, 30 * UM, 52 * UM)
+LAYER = (0.35 * MM, 0.35 * MM, 0.203 * MM)
+
+
+def generator(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def powder() -> RosinRammler:
+    return RosinRammler.fit(*POWDER, 10 * UM, 85 * UM)
+
+
+def scene(**changes) -> SimpleNamespace:
+    """A scene of two small generated batches over five cycles; ``changes`` override any attribute by name."""
+    batches = dict(count=changes.pop("batch_count", 2), particles=40, files=[], spheres=[], seed=7, gap_factor=1.02,
+                   attempts=2000, shuffle=True, diameter_d10=19 * UM, diameter_d50=30 * UM, diameter_d90=52 * UM,
+                   diameter_min=10 * UM, diameter_max=85 * UM)
+    domain = dict(size=(0.15 * MM, 0.12 * MM, 0.4 * MM), particle_layer_height=0.2 * MM)
+    cycles, scheme = dict(count=changes.pop("cycle_count", 5)), changes.pop("scheme", "recurring")
+    for name, value in changes.items():
+        (domain if name in domain else batches)[name] = value
+    return SimpleNamespace(scheme=scheme, batches=SimpleNamespace(**batches), domain=SimpleNamespace(**domain),
+                           cycles=SimpleNamespace(**cycles))
+
+
+def paper_file(name: str) -> Path:
+    """Return the path of one of the authors' batches, or skip."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data" / "free2spray"
+    folder = Path(os.environ.get("F2S_PAPER_DATA", beside))
+    if not (folder / name).is_file():
+        pytest.skip(f"the authors' batch {name} is not in {folder}; set F2S_PAPER_DATA to its folder")
+    return folder / name
+
+
+# --- sizes -----------------------------------------------------------------------------------------------------------
+
+def test_truncated_distribution_starts_at_minimum_ends_at_maximum_and_inverts():
+    """Fails when ``start`` is dropped from ``volume_percentile``."""
+    sizes = powder()
+    assert sizes.volume_cdf([5 * UM, 10 * UM, 85 * UM, 99 * UM]) == pytest.approx([0, 0, 1, 1], abs=1e-15)
+    q = np.linspace(0, 1, 21)
+    assert sizes.volume_cdf(sizes.volume_percentile(q)) == pytest.approx(q, abs=1e-12)
+    middle = math.exp(-(10 * UM / sizes.scale) ** sizes.exponent) - math.exp(-(30 * UM / sizes.scale) ** sizes.exponent)
+    whole = math.exp(-(10 * UM / sizes.scale) ** sizes.exponent) - math.exp(-(85 * UM / sizes.scale) ** sizes.exponent)
+    assert sizes.volume_cdf(30 * UM) == pytest.approx(middle / whole, rel=1e-12)
+
+
+def test_fit_recovers_a_distribution_from_its_own_percentiles():
+    """Fails when the fit compares with the untruncated percentiles (``start`` = 0 in ``volume_percentile``)."""
+    true = RosinRammler(33 * UM, 2.4, 12 * UM, 80 * UM)
+    fitted = RosinRammler.fit(*true.volume_percentile([0.1, 0.5, 0.9]), 12 * UM, 80 * UM)
+    assert (fitted.scale, fitted.exponent) == pytest.approx((true.scale, true.exponent), rel=1e-6)
+
+
+def test_fit_to_the_papers_percentiles_is_a_least_squares_minimum_and_reports_its_misfit():
+    """The three cannot all be met: within 10 %, and no neighbour in scale or exponent is closer."""
+    sizes = powder()
+
+    def squares(candidate: RosinRammler) -> float:
+        return float(np.sum(np.log1p(candidate.misfit(*POWDER)) ** 2))
+
+    assert max(map(abs, sizes.misfit(*POWDER))) < 0.10
+    for scale, exponent in ((1.002, 1), (0.998, 1), (1, 1.005), (1, 0.995)):
+        other = RosinRammler(sizes.scale * scale, sizes.exponent * exponent, sizes.minimum, sizes.maximum)
+        assert squares(other) > squares(sizes)
+    assert "19.0 / 30.0 / 52.0 um" in sizes.message(*POWDER)
+
+
+def test_sizes_sampled_by_number_have_the_volume_percentiles():
+    """20000 particles, volume-weighted, within 3 %; fails when ``/ d**3`` is dropped from ``sample_by_number``."""
+    sizes = powder()
+    d = np.sort(sizes.sample_by_number(20000, generator(1)))
+    share = np.cumsum(d**3) / np.sum(d**3)
+    q = [0.1, 0.5, 0.9]
+    assert d[np.searchsorted(share, q)] == pytest.approx(sizes.volume_percentile(q), rel=0.03)
+    assert d[0] >= 10 * UM and d[-1] <= 85 * UM
+    assert np.cbrt(np.mean(d**3)) == pytest.approx(24.1 * UM, rel=0.02)  # two-percentile fits give 21.9 to 24.6
+
+
+@pytest.mark.parametrize("sizes", [(30, 19, 52, 10, 85), (9, 30, 52, 10, 85), (19, 30, 90, 10, 85),
+                                   (19, 30, 52, 0, 85)])
+def test_impossible_percentiles_are_refused(sizes):
+    with pytest.raises(InputError, match="diameter_d10"):
+        RosinRammler.fit(*(value * UM for value in sizes))
+
+
+# --- packing ---------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("count, box, gap", [(500, LAYER, 1.02), (2559, (3.55 * MM, 0.3 * MM, 0.304 * MM), 1.02),
+                                             (300, LAYER, 1.5)])
+def test_packed_spheres_keep_the_gap_and_the_layer(count, box, gap):
+    """Fails when ``reach`` leaves out ``largest`` (neighbours missed), or the span of z lacks ``- 2.0 * radius``."""
+    packed = pack(powder().sample_by_number(count, generator(2)), box, gap, generator(3), 5000)
+    assert packed.placed == packed.requested == count == packed.r.size
+    centres = np.stack([packed.x, packed.y, packed.z])
+    distance = np.linalg.norm(centres[:, :, None] - centres[:, None, :], axis=0) / (packed.r[:, None] + packed.r)
+    np.fill_diagonal(distance, np.inf)
+    assert distance.min() >= gap * (1 - 1e-12)
+    assert packed.reached_gap == pytest.approx(distance.min(), rel=1e-12)
+    assert np.all(packed.z >= packed.r) and np.all(packed.z <= box[2] - packed.r)
+    assert packed.x.min() >= 0 and packed.x.max() <= box[0] and packed.y.min() >= 0 and packed.y.max() <= box[1]
+    crossing = (packed.x < packed.r) | (packed.x > box[0] - packed.r)
+    assert crossing.any() and np.all(np.diff(packed.r) <= 0)
+    assert packed.x.mean() == pytest.approx(box[0] / 2, rel=0.1)
+
+
+def test_packing_follows_its_seed():
+    """Fails when the places come from any other source than the given generator."""
+    d = powder().sample_by_number(100, generator(2))
+    first, again, other = (pack(d, LAYER, 1.02, generator(seed), 1000) for seed in (5, 5, 6))
+    assert np.array_equal(first.x, again.x) and np.array_equal(first.z, again.z)
+    assert not np.array_equal(first.x, other.x)
+
+
+def test_packer_says_how_many_it_could_place():
+    """More than fits: those placed keep the gap, and the sentence names both numbers."""
+    packed = pack(np.full(200, 40 * UM), (0.1 * MM, 0.1 * MM, 0.1 * MM), 1.2, generator(1), 200)
+    assert 3 < packed.placed < 200 and packed.requested == 200 and packed.reached_gap >= 1.2
+    assert f"placed {packed.placed} of 200" in packed.message() and "200 attempts" in packed.message()
+    tall = pack(np.array([0.3 * MM, 20 * UM]), (0.1 * MM, 0.1 * MM, 0.1 * MM), 1.0, generator(1), 10)
+    assert tall.placed == 1 and tall.r[0] == 10 * UM and tall.reached_gap == math.inf
+    assert "1 found no room" in tall.message()
+
+
+@pytest.mark.parametrize("diameters, box, gap, attempts", [
+    ([10 * UM], LAYER, 0.9, 10), ([10 * UM], LAYER, 1.0, 0), ([10 * UM], (1.0, 0.0, 1.0), 1.0, 10),
+    ([0.0], LAYER, 1.0, 10), ([math.nan], LAYER, 1.0, 10)])
+def test_packing_refuses_what_makes_no_sense(diameters, box, gap, attempts):
+    with pytest.raises(InputError, match="packing"):
+        pack(np.array(diameters), box, gap, generator(1), attempts)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+def random_batch(count: int) -> Batch:
+    numbers = generator(9)
+    return Batch(*(numbers.random(count) * MM for _ in range(3)), (0.005 + 0.04 * numbers.random(count)) * MM)
+
+
+def test_csv_round_trip_is_exact(tmp_path):
+    """Bit for bit; fails when ``_metres`` divides ``float(text)`` by 1000 instead of shifting the decimal point."""
+    batch = random_batch(2000)
+    batch.x[0], batch.y[0], batch.z[0] = 0.0, 1e-12, 3.55e-3
+    write_csv(tmp_path / "b.csv", batch)
+    again = read_csv(tmp_path / "b.csv")
+    for name in "xyzr":
+        assert np.array_equal(getattr(batch, name), getattr(again, name))
+    lines = (tmp_path / "b.csv").read_text().splitlines()
+    assert lines[0] == "x,y,z,r" and len(lines) == 2001 and os.listdir(tmp_path) == ["b.csv"]
+    assert float(lines[2].split(",")[3]) == pytest.approx(1e3 * batch.r[1], rel=1e-15)
+
+
+def test_csv_accepts_windows_lines_byte_order_mark_and_any_column_order(tmp_path):
+    (tmp_path / "b.csv").write_bytes(b"\xef\xbb\xbfr, z,y,x\r\n0.01,3e-2,0.2,0.1\r\n\r\n")
+    batch = read_csv(tmp_path / "b.csv")
+    assert (batch.x[0], batch.y[0], batch.z[0], batch.r[0]) == (1e-4, 2e-4, 3e-5, 1e-5) and batch.count == 1
+
+
+@pytest.mark.parametrize("text, words", [
+    ("", "empty"), ("x,y,z,r\n", "no sphere"), ("x,y,z\n1,2,3\n", "column 'r' is missing"),
+    ("0.1,0.1,0.1,0.01\n", "column 'x' is missing"), ("x,y,z,r,d\n1,1,1,1,1\n", "unexpected column 'd'"),
+    ("x,y,z,r\n0.1,0.1,0.1,0.01\n0.1,abc,0.1,0.01\n", "row 2: y is 'abc'"),
+    ("x,y,z,r\n0.1,0.1,nan,0.01\n", "row 1: z is 'nan'"), ("x,y,z,r\n0.1,inf,0.1,0.01\n", "row 1: y is 'inf'"),
+    ("x,y,z,r\n0.1,0.1,0.1,0.01\n\n0.1,0.1,0.1,-0.01\n", "row 2: r is -0.01"),
+    ("x,y,z,r\n0.1,0.1,0.1,0\n", "row 1: r is 0"), ("x,y,z,r\n0.1,0.1,0.1\n", "row 1: 3 values"),
+    ("x,y,z,r\n0.1,0.1,,0.01\n", "row 1: z is ''")])
+def test_csv_errors_name_file_and_row(tmp_path, text, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_csv(path)
+    assert str(error.value).startswith(str(path)) and words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_csv_that_cannot_be_read_or_written(tmp_path):
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
+    for path in (tmp_path / "absent.csv", tmp_path, tmp_path / "binary.csv"):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_csv(path)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_csv(tmp_path / "absent" / "b.csv", random_batch(1))
+
+
+def test_clipped_volume_and_gap():
+    """Half, quarter and eighth spheres; fails when ``clipped_volume`` drops a side."""
+    r, whole = 10 * UM, 4 / 3 * math.pi * (10 * UM) ** 3
+    centres = {(50, 50, 50): 1.0, (0, 50, 50): 0.5, (50, 100, 50): 0.5, (100, 0, 50): 0.25, (0, 0, 0): 0.125,
+               (50, 50, 100): 0.5, (120, 50, 50): 0.0}
+    for centre, share in centres.items():
+        batch = Batch(*(np.array([value * UM]) for value in centre), np.array([r]))
+        assert clipped_volume(batch, 100 * UM, 100 * UM, 100 * UM) == pytest.approx(share * whole, rel=1e-12, abs=1e-30)
+    pair = Batch(np.array([0, 30 * UM]), np.zeros(2), np.array([0, 40 * UM]), np.array([r, 3 * r]))
+    assert smallest_gap(pair) == pytest.approx(50 / 40)
+    assert smallest_gap_ratio(*(np.zeros(1),) * 4) == math.inf
+
+
+@pytest.mark.parametrize("name, gap, dense_um, dense_grid_um", [
+    ("spheres_info-01.csv", 1.0215, 34.338, 34.4), ("spheres_info-02.csv", 1.0201, 32.554, 32.7)])
+def test_authors_batches(name, gap, dense_um, dense_grid_um):
+    """Gap and dense height over 0.35 x 0.35 mm; references from counting 0.9 million points per sphere.
+
+    The rounded heights belong to the 117 cells of 3 um, 0.351 mm. Fails when ``clipped_volume`` leaves out the clip
+    by the side walls (35.5 and 34.1 um).
+    """
+    batch = read_csv(paper_file(name))
+    assert batch.count == 500
+    assert smallest_gap(batch) == pytest.approx(gap, abs=1e-4)
+    area = (0.35 * MM) ** 2
+    assert clipped_volume(batch, *LAYER) / area == pytest.approx(dense_um * UM, abs=0.003 * UM)
+    on_grid = clipped_volume(batch, 0.351 * MM, 0.351 * MM, LAYER[2]) / area
+    assert on_grid == pytest.approx(dense_grid_um * UM, abs=0.05 * UM)
+
+
+# --- plan ------------------------------------------------------------------------------------------------------------
+
+def test_generated_plan_is_the_same_for_the_same_seed_and_repeats_one_permutation():
+    """Fails when ``order`` is reshuffled each round, or all batches share one seed."""
+    plan, again, other = make_batches(scene()), make_batches(scene()), make_batches(scene(seed=8))
+    assert [batch.count for batch in plan.batches] == [40, 40]
+    for first, second in zip(plan.batches, again.batches):
+        assert all(np.array_equal(getattr(first, name), getattr(second, name)) for name in "xyzr")
+    assert not np.array_equal(plan.batches[0].x, other.batches[0].x)
+    assert not np.array_equal(plan.batches[0].r, plan.batches[1].r)
+    assert plan.order == again.order and sorted(plan.order[:2]) == [0, 1] and plan.order[2:] == (plan.order * 2)[2:5]
+    assert any("Rosin-Rammler" in line for line in plan.messages)
+    more = make_batches(scene(batch_count=3))
+    assert np.array_equal(more.batches[0].x, plan.batches[0].x)  # a batch does not depend on how many follow
+
+
+def test_order_without_shuffle_and_with():
+    assert cycle_order(7, 3, False, generator(1)) == [0, 1, 2, 0, 1, 2, 0]
+    shuffled = cycle_order(12, 6, True, generator(1))
+    assert sorted(shuffled[:6]) == list(range(6)) and shuffled[:6] == shuffled[6:] != list(range(6))
+
+
+def test_packing_shortfall_is_told():
+    plan = make_batches(scene(particles=400, attempts=50))
+    short = [line for line in plan.messages if "of 400 spheres" in line]
+    assert len(short) == 2 and f"placed {plan.batches[0].count} of 400" in short[0] and "batch 1 of 2" in short[0]
+
+
+def test_standard_scheme_stacks_the_layers_into_one_batch():
+    """Fails when a layer is raised by its own height instead of index times height."""
+    small = dict(diameter_d10=12 * UM, diameter_d50=18 * UM, diameter_d90=25 * UM, diameter_max=40 * UM)
+    plan = make_batches(scene(scheme="standard", cycle_count=1, batch_count=4, particles=20, shuffle=False, **small))
+    (batch,) = plan.batches
+    assert plan.order == [0] and batch.count == 80
+    layer = (np.arange(80) // 20) * 0.05 * MM
+    assert np.all(batch.z - batch.r >= layer - 1e-18) and np.all(batch.z + batch.r <= layer + 0.05 * MM + 1e-18)
+    assert smallest_gap(batch) > 1.0
+    with pytest.raises(InputError, match="cycles.count"):
+        make_batches(scene(scheme="standard"))
+
+
+def test_standard_scheme_repeats_files_in_the_recurring_order(tmp_path):
+    """Two files over four layers deposit in the same sequence as four recurring cycles of them."""
+    files = []
+    for number in range(2):
+        files.append(str(tmp_path / f"{number}.csv"))
+        write_csv(files[-1], Batch(*(np.array([value * UM]) for value in (50 + number, 50, 20, 10 + number))))
+    standard = make_batches(scene(scheme="standard", cycle_count=1, batch_count=4, files=files))
+    recurring = make_batches(scene(cycle_count=4, files=files))
+    expected = stack([recurring.batches[index] for index in recurring.order], 0.05 * MM)
+    assert all(np.array_equal(getattr(standard.batches[0], name), getattr(expected, name)) for name in "xyzr")
+    assert standard.batches[0].count == 4
+
+
+def test_explicit_spheres_are_one_batch():
+    plan = make_batches(scene(spheres=[[75 * UM, 60 * UM, 20 * UM, 15 * UM], [0.0, 0.0, 20 * UM, 20 * UM]]))
+    assert plan.order == [0] * 5 and len(plan.batches) == 1 and plan.messages == []
+    assert plan.batches[0].x[0] == 75 * UM and plan.batches[0].r[1] == 20 * UM
+    two = [[75 * UM, 60 * UM, 20 * UM, 15 * UM], [75 * UM, 60 * UM, 40 * UM, 15 * UM]]
+    overlapping = make_batches(scene(spheres=two))
+    assert "overlap" in overlapping.messages[0]
+
+
+@pytest.mark.parametrize("sphere, words", [
+    ((75, 60, 190, 15), "row 2: the sphere spans z"), ((75, 60, 10, 15), "row 2: the sphere spans z"),
+    ((-16, 60, 50, 15), "row 2: the sphere at x"), ((75, 136, 50, 15), "row 2: the sphere at y")])
+def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, sphere, words):
+    """Spheres 1 um inside these limits are accepted; fails when ``check_inside`` skips a side."""
+    first = np.array([[75, 60, 100, 20]]) * UM
+    write_csv(tmp_path / "b.csv", Batch(*np.vstack([first, np.array(sphere) * UM]).T))
+    with pytest.raises(InputError) as error:
+        make_batches(scene(files=[str(tmp_path / "b.csv")]))
+    assert str(error.value).startswith(f"{tmp_path / 'b.csv'}: {words}")
+    with pytest.raises(InputError, match="batches.spheres: row 1"):
+        make_batches(scene(spheres=[[value * UM for value in sphere]]))
+    towards = np.sign(np.array([75, 60, 100, 20]) - sphere) * [2, 2, 6, 0]
+    make_batches(scene(spheres=[list((np.array(sphere) + towards) * UM)]))
+
+
+def test_nothing_to_spray_is_refused():
+    with pytest.raises(InputError, match="nothing to spray"):
+        make_batches(scene(particles=0))
+    with pytest.raises(InputError, match="batches.spheres: row 1"):
+        make_batches(scene(spheres=[[75 * UM, 60 * UM, 20 * UM, -UM]]))
+    with pytest.raises(InputError, match="no particle of batch 1 fits"):
+        make_batches(scene(particle_layer_height=5 * UM))
