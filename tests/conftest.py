@@ -60,22 +60,21 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Itera
         return
     report = outcome.get_result()
     text = f"{item.nodeid} ({call.when})\n{report.longreprtext}" if report.failed else ""
-    if text and not mpi.is_root():
-        sys.stderr.write(f"[rank {mpi.rank()}] failed: {text}\n")
-        sys.stderr.flush()
-    _meet(may_give_up=bool(text), name=item.nodeid)
+    _meet(item.nodeid, text)
     texts = _reports.allgather(text)
     if any(texts) and not text:
         report.outcome = "failed"
         report.longrepr = "\n".join(f"on rank {rank}: {said}" for rank, said in enumerate(texts) if said)
 
 
-def _meet(may_give_up: bool, name: str) -> None:
-    """Wait for all ranks; a rank that failed waits only so long, then ends the job."""
+def _meet(place: str, failure: str = "") -> None:
+    """Wait for all ranks; a rank with a ``failure`` waits only so long, then tells it and ends the job."""
     request, start = _reports.Ibarrier(), time.monotonic()
     while not request.Test():
-        if may_give_up and time.monotonic() - start > PATIENCE_S:
-            sys.stderr.write(f"[rank {mpi.rank()}] the other ranks hang in {name}: job aborted\n")
+        if failure and time.monotonic() - start > PATIENCE_S:
+            sys.stdout.flush()
+            sys.stderr.write(f"\n[rank {mpi.rank()}] failed: {failure}\n"
+                             f"[rank {mpi.rank()}] the other ranks hang in {place}: job aborted\n")
             sys.stderr.flush()
             mpi.world().Abort(1)
         time.sleep(1e-4)
@@ -105,7 +104,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     """Let no rank end before rank 0 has printed its report."""
     if _reports is not None:
         sys.stdout.flush()
-        _meet(may_give_up=True, name="the end of the tests")
+        _meet("the end of the tests")
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import itertools
 import json
 import os
 import pathlib
-import resource
+import shutil
 
 import h5py
 import numpy as np
@@ -140,16 +140,18 @@ def test_attributes_come_back_exactly(folder):
 def test_checksum_formula():
     """The checksum, against the formula in Python integers.
 
-    Fails when ``odd_hash`` drops ``| 1``, or when ``partial_checksums`` forgets ``start`` in k.
+    Fails when ``partial_checksums`` forgets ``start`` in k, or ``mix`` one of its shifts.
     """
     mask = 2**64 - 1
+
+    def mix(bits: int) -> int:
+        bits = (bits * 0x9E3779B97F4A7C15) & mask
+        bits = ((bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9) & mask
+        bits = ((bits ^ (bits >> 27)) * 0x94D049BB133111EB) & mask
+        return bits ^ (bits >> 31)
+
     data = whole_field("mass")
-    expected = 0
-    for index, bits in enumerate(data.view(np.uint64).ravel()):
-        mixed = ((index + 1) * 0x9E3779B97F4A7C15) & mask
-        mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & mask
-        mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & mask
-        expected = (expected + int(bits) * ((mixed ^ (mixed >> 31)) | 1)) & mask
+    expected = sum(mix(int(bits) ^ mix(index + 1)) for index, bits in enumerate(data.view(np.uint64).ravel())) & mask
     for parts in (1, 2, 4):
         for split in SPLITS:
             boxes = [box(split, CELLS, False, rank, parts) for rank in range(parts)]
@@ -159,20 +161,21 @@ def test_checksum_formula():
 
 
 def test_checksum_sees_every_change(monkeypatch):
-    """Fails when the values are summed without their weight: swapped values then go unseen."""
+    """Fails when ``place`` is left out of the sum (a swap goes unseen), or when the values are multiplied by
+    it instead of mixed (two flipped signs go unseen)."""
     def checksum(data: np.ndarray) -> int:
         return int(manifest.partial_checksums([Block("mass", data, (0, 0, 0), data.shape)])[0])
 
     data = whole_field("mass")
     seen = {checksum(data)}
-    for cell, bit in [(0, 63), (0, 0), (40, 52), (data.size - 1, 63)]:
+    for cells, bit in [([0], 63), ([0], 0), ([40], 52), ([data.size - 1], 63), ([7, 8], 63)]:
         changed = data.copy()
-        changed.view(np.uint64).ravel()[cell] ^= np.uint64(1 << bit)
+        changed.view(np.uint64).ravel()[cells] ^= np.uint64(1 << bit)
         seen.add(checksum(changed))
     swapped = data.copy()
     swapped.ravel()[[20, 21]] = swapped.ravel()[[21, 20]]
     seen.add(checksum(swapped))
-    assert len(seen) == 6
+    assert len(seen) == 7
     monkeypatch.setattr(manifest, "CELLS_AT_ONCE", 100)
     assert checksum(data) in seen
 
@@ -288,7 +291,7 @@ def test_wrong_blocks_end_all_ranks_alike(folder):
     good = my_block("mass", "z")
     for bad, message in [
         (Block("mass", good.data[:, :, :-1], good.start, good.global_shape), "do not tile"),
-        (Block("mass", good.data.astype(np.float32), good.start, good.global_shape), "not a float64"),
+        (Block("mass", np.zeros(good.data.shape, np.float32), good.start, good.global_shape), "not a float64"),
         (Block("mass", good.data, (good.start[0] + 1, 0, 0), good.global_shape), "outside"),
     ]:
         with pytest.raises(CheckpointError, match=message):
@@ -334,22 +337,47 @@ def test_crash_before_the_manifest_leaves_the_older_one(folder, monkeypatch):
 
 
 @pytest.mark.mpi
-def test_full_disk_ends_all_ranks_alike(folder):
-    """A file-size limit stands in for a full disk: one clear error everywhere, nothing left behind."""
+def test_full_disk_ends_all_ranks_alike(folder, monkeypatch):
+    """Too little space is told before writing; a write that fails on one rank ends all and leaves no file."""
     older = checkpoint.write_checkpoint(folder, 1, my_blocks(), {"step": 1})
-    shape = (64, 32, 32)
-    start, mine = box("z", shape, False, mpi.rank(), mpi.size())
-    block = Block("mass", np.ones(mine), start, shape)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-    try:
-        with pytest.raises(CheckpointError, match="cannot write checkpoint_cycle_0002"):
-            checkpoint.write_checkpoint(folder, 2, [block], {"step": 2})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    usage = shutil.disk_usage(folder)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=15_000))
+    with pytest.raises(CheckpointError, match=r"cannot write checkpoint_cycle_0002.*needs \d+ MB, 0 MB are free"):
+        checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 2})
+    monkeypatch.undo()
+    write, calls = layout.write_collective, []
+
+    def fail_on_last(dataset, block):
+        write(dataset, block)
+        calls.append(block.name)
+        if mpi.rank() == mpi.size() - 1 and len(calls) == 2:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(layout, "write_collective", fail_on_last)
+    with pytest.raises(CheckpointError, match="cannot write checkpoint_cycle_0002.*No space left"):
+        checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 2})
+    assert calls == ["mass", "velocity_x"]
+    monkeypatch.undo()
     mpi.barrier()
-    assert sorted(path.name for path in folder.iterdir()) == [older.name, manifest.manifest_path(older).name][::1]
+    assert sorted(folder.iterdir()) == [older, manifest.manifest_path(older)]
     assert checkpoint.newest_valid_checkpoint(folder) == (older, [])
+
+
+@pytest.mark.mpi
+def test_silent_write_failure_is_found(folder, monkeypatch):
+    """MPI libraries have reported success on a full disk. Fails when ``write_checkpoint`` skips the read-back."""
+    write = layout.write_collective
+
+    def lose_the_last(dataset, block):
+        if block.name == "peeq":
+            block = Block(block.name, np.zeros_like(block.data), block.start, block.global_shape)
+        write(dataset, block)
+
+    monkeypatch.setattr(layout, "write_collective", lose_the_last)
+    with pytest.raises(CheckpointError, match="'peeq' does not read back as written"):
+        checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 2})
+    mpi.barrier()
+    assert not list(folder.iterdir())
 
 
 @pytest.mark.mpi

@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 
 from f2s_hpc.errors import InputError
-from f2s_hpc.particles.batch import (Batch, clipped_volume, cycle_order, make_batches, read_csv, smallest_gap, stack,
-                                     write_csv)
+from f2s_hpc.particles.batch import (
+    Batch,
+    clipped_volume,
+    cycle_order,
+    make_batches,
+    read_csv,
+    smallest_gap,
+    stack,
+    write_csv,
+)
 from f2s_hpc.particles.packing import pack, smallest_gap_ratio
 from f2s_hpc.particles.sizes import RosinRammler
 
@@ -31,11 +39,11 @@ def powder() -> RosinRammler:
 
 def scene(**changes) -> SimpleNamespace:
     """A scene of two small generated batches over five cycles; ``changes`` override any attribute by name."""
-    batches = dict(count=changes.pop("batch_count", 2), particles=40, files=[], spheres=[], seed=7, gap_factor=1.02,
-                   attempts=2000, shuffle=True, diameter_d10=19 * UM, diameter_d50=30 * UM, diameter_d90=52 * UM,
-                   diameter_min=10 * UM, diameter_max=85 * UM)
-    domain = dict(size=(0.15 * MM, 0.12 * MM, 0.4 * MM), particle_layer_height=0.2 * MM)
-    cycles, scheme = dict(count=changes.pop("cycle_count", 5)), changes.pop("scheme", "recurring")
+    batches = {"count": changes.pop("batch_count", 2), "particles": 40, "files": [], "spheres": [], "seed": 7,
+               "gap_factor": 1.02, "attempts": 2000, "shuffle": True, "diameter_d10": 19 * UM, "diameter_d50": 30 * UM,
+               "diameter_d90": 52 * UM, "diameter_min": 10 * UM, "diameter_max": 85 * UM}
+    domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "particle_layer_height": 0.2 * MM}
+    cycles, scheme = {"count": changes.pop("cycle_count", 5)}, changes.pop("scheme", "recurring")
     for name, value in changes.items():
         (domain if name in domain else batches)[name] = value
     return SimpleNamespace(scheme=scheme, batches=SimpleNamespace(**batches), domain=SimpleNamespace(**domain),
@@ -92,7 +100,8 @@ def test_sizes_sampled_by_number_have_the_volume_percentiles():
     share = np.cumsum(d**3) / np.sum(d**3)
     q = [0.1, 0.5, 0.9]
     assert d[np.searchsorted(share, q)] == pytest.approx(sizes.volume_percentile(q), rel=0.03)
-    assert d[0] >= 10 * UM and d[-1] <= 85 * UM
+    assert d[0] >= 10 * UM
+    assert d[-1] <= 85 * UM
     assert np.cbrt(np.mean(d**3)) == pytest.approx(24.1 * UM, rel=0.02)  # two-percentile fits give 21.9 to 24.6
 
 
@@ -105,7 +114,7 @@ def test_impossible_percentiles_are_refused(sizes):
 
 # --- packing ---------------------------------------------------------------------------------------------------------
 
-@pytest.mark.parametrize("count, box, gap", [(500, LAYER, 1.02), (2559, (3.55 * MM, 0.3 * MM, 0.304 * MM), 1.02),
+@pytest.mark.parametrize(("count", "box", "gap"), [(500, LAYER, 1.02), (2559, (3.55 * MM, 0.3 * MM, 0.304 * MM), 1.02),
                                              (300, LAYER, 1.5)])
 def test_packed_spheres_keep_the_gap_and_the_layer(count, box, gap):
     """Fails when ``reach`` leaves out ``largest`` (neighbours missed), or the span of z lacks ``- 2.0 * radius``."""
@@ -116,10 +125,15 @@ def test_packed_spheres_keep_the_gap_and_the_layer(count, box, gap):
     np.fill_diagonal(distance, np.inf)
     assert distance.min() >= gap * (1 - 1e-12)
     assert packed.reached_gap == pytest.approx(distance.min(), rel=1e-12)
-    assert np.all(packed.z >= packed.r) and np.all(packed.z <= box[2] - packed.r)
-    assert packed.x.min() >= 0 and packed.x.max() <= box[0] and packed.y.min() >= 0 and packed.y.max() <= box[1]
+    assert np.all(packed.z >= packed.r)
+    assert np.all(packed.z < box[2] - packed.r)
+    assert packed.x.min() >= 0
+    assert packed.x.max() <= box[0]
+    assert packed.y.min() >= 0
+    assert packed.y.max() <= box[1]
     crossing = (packed.x < packed.r) | (packed.x > box[0] - packed.r)
-    assert crossing.any() and np.all(np.diff(packed.r) <= 0)
+    assert crossing.any()
+    assert np.all(np.diff(packed.r) <= 0)
     assert packed.x.mean() == pytest.approx(box[0] / 2, rel=0.1)
 
 
@@ -127,21 +141,27 @@ def test_packing_follows_its_seed():
     """Fails when the places come from any other source than the given generator."""
     d = powder().sample_by_number(100, generator(2))
     first, again, other = (pack(d, LAYER, 1.02, generator(seed), 1000) for seed in (5, 5, 6))
-    assert np.array_equal(first.x, again.x) and np.array_equal(first.z, again.z)
+    assert np.array_equal(first.x, again.x)
+    assert np.array_equal(first.z, again.z)
     assert not np.array_equal(first.x, other.x)
 
 
 def test_packer_says_how_many_it_could_place():
     """More than fits: those placed keep the gap, and the sentence names both numbers."""
     packed = pack(np.full(200, 40 * UM), (0.1 * MM, 0.1 * MM, 0.1 * MM), 1.2, generator(1), 200)
-    assert 3 < packed.placed < 200 and packed.requested == 200 and packed.reached_gap >= 1.2
-    assert f"placed {packed.placed} of 200" in packed.message() and "200 attempts" in packed.message()
+    assert 3 < packed.placed < 200
+    assert packed.requested == 200
+    assert packed.reached_gap >= 1.2
+    assert f"placed {packed.placed} of 200" in packed.message()
+    assert "200 attempts" in packed.message()
     tall = pack(np.array([0.3 * MM, 20 * UM]), (0.1 * MM, 0.1 * MM, 0.1 * MM), 1.0, generator(1), 10)
-    assert tall.placed == 1 and tall.r[0] == 10 * UM and tall.reached_gap == math.inf
+    assert tall.placed == 1
+    assert tall.r[0] == 10 * UM
+    assert tall.reached_gap == math.inf
     assert "1 found no room" in tall.message()
 
 
-@pytest.mark.parametrize("diameters, box, gap, attempts", [
+@pytest.mark.parametrize(("diameters", "box", "gap", "attempts"), [
     ([10 * UM], LAYER, 0.9, 10), ([10 * UM], LAYER, 1.0, 0), ([10 * UM], (1.0, 0.0, 1.0), 1.0, 10),
     ([0.0], LAYER, 1.0, 10), ([math.nan], LAYER, 1.0, 10)])
 def test_packing_refuses_what_makes_no_sense(diameters, box, gap, attempts):
@@ -165,17 +185,20 @@ def test_csv_round_trip_is_exact(tmp_path):
     for name in "xyzr":
         assert np.array_equal(getattr(batch, name), getattr(again, name))
     lines = (tmp_path / "b.csv").read_text().splitlines()
-    assert lines[0] == "x,y,z,r" and len(lines) == 2001 and os.listdir(tmp_path) == ["b.csv"]
-    assert float(lines[2].split(",")[3]) == pytest.approx(1e3 * batch.r[1], rel=1e-15)
+    assert lines[0] == "x,y,z,r"
+    assert len(lines) == 2001
+    assert os.listdir(tmp_path) == ["b.csv"]
+    assert float(lines[2].split(",")[3]) == pytest.approx(1e3 * batch.r[1], rel=1e-15, abs=0.0)
 
 
 def test_csv_accepts_windows_lines_byte_order_mark_and_any_column_order(tmp_path):
     (tmp_path / "b.csv").write_bytes(b"\xef\xbb\xbfr, z,y,x\r\n0.01,3e-2,0.2,0.1\r\n\r\n")
     batch = read_csv(tmp_path / "b.csv")
-    assert (batch.x[0], batch.y[0], batch.z[0], batch.r[0]) == (1e-4, 2e-4, 3e-5, 1e-5) and batch.count == 1
+    assert (batch.x[0], batch.y[0], batch.z[0], batch.r[0]) == (1e-4, 2e-4, 3e-5, 1e-5)
+    assert batch.count == 1
 
 
-@pytest.mark.parametrize("text, words", [
+@pytest.mark.parametrize(("text", "words"), [
     ("", "empty"), ("x,y,z,r\n", "no sphere"), ("x,y,z\n1,2,3\n", "column 'r' is missing"),
     ("0.1,0.1,0.1,0.01\n", "column 'x' is missing"), ("x,y,z,r,d\n1,1,1,1,1\n", "unexpected column 'd'"),
     ("x,y,z,r\n0.1,0.1,0.1,0.01\n0.1,abc,0.1,0.01\n", "row 2: y is 'abc'"),
@@ -188,7 +211,9 @@ def test_csv_errors_name_file_and_row(tmp_path, text, words):
     path.write_text(text)
     with pytest.raises(InputError) as error:
         read_csv(path)
-    assert str(error.value).startswith(str(path)) and words in str(error.value) and "\n" not in str(error.value)
+    assert str(error.value).startswith(str(path))
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def test_csv_that_cannot_be_read_or_written(tmp_path):
@@ -213,7 +238,7 @@ def test_clipped_volume_and_gap():
     assert smallest_gap_ratio(*(np.zeros(1),) * 4) == math.inf
 
 
-@pytest.mark.parametrize("name, gap, dense_um, dense_grid_um", [
+@pytest.mark.parametrize(("name", "gap", "dense_um", "dense_grid_um"), [
     ("spheres_info-01.csv", 1.0215, 34.338, 34.4), ("spheres_info-02.csv", 1.0201, 32.554, 32.7)])
 def test_authors_batches(name, gap, dense_um, dense_grid_um):
     """Gap and dense height over 0.35 x 0.35 mm; references from counting 0.9 million points per sphere.
@@ -240,7 +265,9 @@ def test_generated_plan_is_the_same_for_the_same_seed_and_repeats_one_permutatio
         assert all(np.array_equal(getattr(first, name), getattr(second, name)) for name in "xyzr")
     assert not np.array_equal(plan.batches[0].x, other.batches[0].x)
     assert not np.array_equal(plan.batches[0].r, plan.batches[1].r)
-    assert plan.order == again.order and sorted(plan.order[:2]) == [0, 1] and plan.order[2:] == (plan.order * 2)[2:5]
+    assert plan.order == again.order
+    assert sorted(plan.order[:2]) == [0, 1]
+    assert plan.order[2:] == (plan.order * 2)[2:5]
     assert any("Rosin-Rammler" in line for line in plan.messages)
     more = make_batches(scene(batch_count=3))
     assert np.array_equal(more.batches[0].x, plan.batches[0].x)  # a batch does not depend on how many follow
@@ -249,25 +276,30 @@ def test_generated_plan_is_the_same_for_the_same_seed_and_repeats_one_permutatio
 def test_order_without_shuffle_and_with():
     assert cycle_order(7, 3, False, generator(1)) == [0, 1, 2, 0, 1, 2, 0]
     shuffled = cycle_order(12, 6, True, generator(1))
-    assert sorted(shuffled[:6]) == list(range(6)) and shuffled[:6] == shuffled[6:] != list(range(6))
+    assert sorted(shuffled[:6]) == list(range(6))
+    assert shuffled[:6] == shuffled[6:] != list(range(6))
 
 
 def test_packing_shortfall_is_told():
     plan = make_batches(scene(particles=400, attempts=50))
     short = [line for line in plan.messages if "of 400 spheres" in line]
-    assert len(short) == 2 and f"placed {plan.batches[0].count} of 400" in short[0] and "batch 1 of 2" in short[0]
+    assert len(short) == 2
+    assert f"placed {plan.batches[0].count} of 400" in short[0]
+    assert "batch 1 of 2" in short[0]
 
 
 def test_standard_scheme_stacks_the_layers_into_one_batch():
     """Fails when a layer is raised by its own height instead of index times height."""
-    small = dict(diameter_d10=12 * UM, diameter_d50=18 * UM, diameter_d90=25 * UM, diameter_max=40 * UM)
+    small = {"diameter_d10": 12 * UM, "diameter_d50": 18 * UM, "diameter_d90": 25 * UM, "diameter_max": 40 * UM}
     plan = make_batches(scene(scheme="standard", cycle_count=1, batch_count=4, particles=20, shuffle=False, **small))
     (batch,) = plan.batches
-    assert plan.order == [0] and batch.count == 80
+    assert plan.order == [0]
+    assert batch.count == 80
     layer = (np.arange(80) // 20) * 0.05 * MM
-    assert np.all(batch.z - batch.r >= layer - 1e-18) and np.all(batch.z + batch.r <= layer + 0.05 * MM + 1e-18)
+    assert np.all(batch.z - batch.r >= layer - 1e-18)
+    assert np.all(batch.z + batch.r <= layer + 0.05 * MM + 1e-18)
     assert smallest_gap(batch) > 1.0
-    with pytest.raises(InputError, match="cycles.count"):
+    with pytest.raises(InputError, match=r"cycles\.count"):
         make_batches(scene(scheme="standard"))
 
 
@@ -286,14 +318,17 @@ def test_standard_scheme_repeats_files_in_the_recurring_order(tmp_path):
 
 def test_explicit_spheres_are_one_batch():
     plan = make_batches(scene(spheres=[[75 * UM, 60 * UM, 20 * UM, 15 * UM], [0.0, 0.0, 20 * UM, 20 * UM]]))
-    assert plan.order == [0] * 5 and len(plan.batches) == 1 and plan.messages == []
-    assert plan.batches[0].x[0] == 75 * UM and plan.batches[0].r[1] == 20 * UM
+    assert plan.order == [0] * 5
+    assert len(plan.batches) == 1
+    assert plan.messages == []
+    assert plan.batches[0].x[0] == 75 * UM
+    assert plan.batches[0].r[1] == 20 * UM
     two = [[75 * UM, 60 * UM, 20 * UM, 15 * UM], [75 * UM, 60 * UM, 40 * UM, 15 * UM]]
     overlapping = make_batches(scene(spheres=two))
     assert "overlap" in overlapping.messages[0]
 
 
-@pytest.mark.parametrize("sphere, words", [
+@pytest.mark.parametrize(("sphere", "words"), [
     ((75, 60, 190, 15), "row 2: the sphere spans z"), ((75, 60, 10, 15), "row 2: the sphere spans z"),
     ((-16, 60, 50, 15), "row 2: the sphere at x"), ((75, 136, 50, 15), "row 2: the sphere at y")])
 def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, sphere, words):
@@ -303,7 +338,7 @@ def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, spher
     with pytest.raises(InputError) as error:
         make_batches(scene(files=[str(tmp_path / "b.csv")]))
     assert str(error.value).startswith(f"{tmp_path / 'b.csv'}: {words}")
-    with pytest.raises(InputError, match="batches.spheres: row 1"):
+    with pytest.raises(InputError, match=r"batches\.spheres: row 1"):
         make_batches(scene(spheres=[[value * UM for value in sphere]]))
     towards = np.sign(np.array([75, 60, 100, 20]) - sphere) * [2, 2, 6, 0]
     make_batches(scene(spheres=[list((np.array(sphere) + towards) * UM)]))
@@ -312,7 +347,7 @@ def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, spher
 def test_nothing_to_spray_is_refused():
     with pytest.raises(InputError, match="nothing to spray"):
         make_batches(scene(particles=0))
-    with pytest.raises(InputError, match="batches.spheres: row 1"):
+    with pytest.raises(InputError, match=r"batches\.spheres: row 1"):
         make_batches(scene(spheres=[[75 * UM, 60 * UM, 20 * UM, -UM]]))
     with pytest.raises(InputError, match="no particle of batch 1 fits"):
         make_batches(scene(particle_layer_height=5 * UM))

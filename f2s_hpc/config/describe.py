@@ -97,11 +97,11 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         *_parts(cells_per_rank, bytes_per_cell),
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("cycles", f"{_count(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
-        ("time step", f"about {pretty(step, 'time', 3)} (longitudinal waves at "
-                      f"{scene.material.longitudinal_sound_speed:.0f} m/s)"),
+        ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "
+                       f"{scene.material.longitudinal_sound_speed:.0f} m/s)")),
         ("steps", f"about {math.ceil(total / step):,}"),
-        ("frames", f"{frames:,} of {pretty_bytes(frame_bytes(scene))}, "
-                   f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression"),
+        ("frames", (f"{frames:,} of {pretty_bytes(frame_bytes(scene))}, "
+                    f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression")),
         ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
          if scene.output.checkpoints else "none"),
         ("configuration", f"sha256 {scene_hash(scene)[:16]}"),

@@ -139,7 +139,7 @@ def _add_library_entry(raw: dict, source: str, keys: Sequence[str]) -> None:
         return
     if name not in library.names():
         raise InputError(f'{origin("material.name", source, keys)}: material.name = "{name}": no such material; '
-                         f'{did_you_mean(name, library.names())} "{CUSTOM}" takes all its keys from the scene')
+                         f'{did_you_mean(name, (*library.names(), CUSTOM))}')
     raw["material"] = _merged(library.entry(name), material)
 
 

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Union
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from f2s_hpc.config.quantities import (Conductivity, Density, InverseTemperature, Number, PositivePressure,
-                                       PressureOrZero, Rate, Section, SpecificHeat, Speed, Temperature, wrong)
+from f2s_hpc.config.quantities import (
+    Conductivity,
+    Density,
+    InverseTemperature,
+    Number,
+    PositivePressure,
+    PressureOrZero,
+    Rate,
+    Section,
+    SpecificHeat,
+    Speed,
+    Temperature,
+    wrong,
+)
 
 
 class GeFlowStress(Section):
@@ -16,13 +28,13 @@ class GeFlowStress(Section):
 
     model: Literal["ge"]
     sigma_y0: PositivePressure = Field(description="initial yield stress, Pa")
-    hardening_A: PressureOrZero = Field(description="strain hardening A, Pa")
+    hardening_A: PressureOrZero = Field(description="strain hardening A, Pa")  # noqa: N815
     hardening_n: Number = Field(gt=0, le=1, description="strain hardening exponent n")
     alpha: PressureOrZero = Field(description="rate hardening per PEEQ^n, Pa; acts above rate_s")
     beta: PressureOrZero = Field(description="rate hardening, Pa; acts above rate_s")
     rate_s: Rate = Field(description="normal reference rate, 1/s")
     rate_u: Rate = Field(description="high reference rate, 1/s; the B term acts above it")
-    high_rate_B: PressureOrZero = Field(description="high-rate hardening B, Pa")
+    high_rate_B: PressureOrZero = Field(description="high-rate hardening B, Pa")  # noqa: N815
     room_temperature: Temperature = Field(description="temperature of no softening, K")
     reference_temperature: Temperature = Field(description="temperature of fastest softening, K")
     eta: InverseTemperature = Field(description="steepness of the thermal softening, 1/K")
@@ -83,9 +95,9 @@ class MieGrueneisenPressure(Section):
     gamma: Number = Field(ge=0, description="Grueneisen parameter at the density of zero pressure")
 
 
-FlowStress = Annotated[Union[GeFlowStress, JohnsonCookFlowStress, LinearHardeningFlowStress, ElasticFlowStress],
+FlowStress = Annotated[GeFlowStress | JohnsonCookFlowStress | LinearHardeningFlowStress | ElasticFlowStress,
                        Field(discriminator="model")]
-Pressure = Annotated[Union[LinearPressure, MieGrueneisenPressure], Field(discriminator="model")]
+Pressure = Annotated[LinearPressure | MieGrueneisenPressure, Field(discriminator="model")]
 
 
 class Material(Section):

@@ -15,7 +15,7 @@ from f2s_hpc import units
 from f2s_hpc.config.quantities import Unit
 from f2s_hpc.config.schema import Scene
 
-Location = Sequence[typing.Union[str, int]]
+Location = Sequence[str | int]
 
 _BOUNDS = {"greater_than": ("above", "gt"), "greater_than_equal": ("at least", "ge"),
            "less_than": ("below", "lt"), "less_than_equal": ("at most", "le")}
@@ -96,7 +96,7 @@ def _guesses(loc: Location) -> list[str]:
     path, owner, _ = _walk(loc)
     prefix, _, word = path.rpartition(".")
     siblings = list(owner.model_fields) if owner else []
-    close = difflib.get_close_matches(word, siblings, 1, 0.6)
+    close = [s for s in siblings if s.lower() == word.lower()] or difflib.get_close_matches(word, siblings, 1, 0.6)
     if close:
         return [f"{prefix}.{close[0]}" if prefix else close[0]]
     return [key for key in dict.fromkeys(all_keys()) if key.rpartition(".")[2] == word][:1]

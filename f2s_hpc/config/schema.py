@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Literal
 
@@ -9,8 +10,19 @@ from pydantic import Field, field_validator, model_validator
 
 from f2s_hpc import fields, units
 from f2s_hpc.config.material import JohnsonCookFlowStress, Material, MieGrueneisenPressure
-from f2s_hpc.config.quantities import (Length, LengthOrZero, Number, PositiveLength, Section, Speed, Switch,
-                                       Temperature, Time, Whole, wrong)
+from f2s_hpc.config.quantities import (
+    Length,
+    LengthOrZero,
+    Number,
+    PositiveLength,
+    Section,
+    Speed,
+    Switch,
+    Temperature,
+    Time,
+    Whole,
+    wrong,
+)
 
 Face = Literal["symmetry", "fixed", "free", "outflow"]
 DERIVED_FIELDS = ("pressure", "von_mises", "speed")
@@ -137,11 +149,11 @@ class Batches(Section):
         given = [name for name, there in (("files", self.files), ("spheres", self.spheres),
                                           ("count and particles", self.count * self.particles)) if there]
         if not given:
-            raise wrong("", "no particles: give files, or spheres, or both count and particles above 0")
+            raise wrong("", "has no particles: give files, or spheres, or both count and particles above 0")
         if len(given) > 1:
-            raise wrong("", f"{' and '.join(given)} are given; keep exactly one source of particles")
+            raise wrong("", f"has {' as well as '.join(given)}; keep exactly one source of particles")
         sizes = ("diameter_min", "diameter_d10", "diameter_d50", "diameter_d90", "diameter_max")
-        for low, high in zip(sizes, sizes[1:]):
+        for low, high in itertools.pairwise(sizes):
             if getattr(self, low) >= getattr(self, high):
                 raise wrong(high, f"must be above {low} ({_length(getattr(self, low))})")
         return self
@@ -264,10 +276,10 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
-        _check_spheres(self)
-        _check_temperatures(self)
         if self.scheme == "standard" and self.cycles.count != 1:
             raise wrong("cycles.count", "must be 1 in the standard scheme, which paints all batches at once")
+        _check_spheres(self)
+        _check_temperatures(self)
         if "internal_energy" in self.output.fields and not self.mie_grueneisen:
             raise wrong("output.fields", 'internal_energy exists only with material.pressure.model = "mie_grueneisen"')
         return self

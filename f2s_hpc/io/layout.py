@@ -17,6 +17,7 @@ import json
 import os
 import pathlib
 import re
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,7 @@ PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
 CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
 FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
 LARGEST_CHUNK = 64
+_UNCLOSED: list[h5py.File] = []
 
 Shape = tuple[int, int, int]
 
@@ -153,7 +155,8 @@ def check_blocks(blocks: Sequence[Block]) -> str | None:
 def open_shared(path: pathlib.Path, mode: str) -> h5py.File:
     """Open an HDF5 file on all ranks at once (one rank: the plain driver)."""
     if mpi.size() == 1:
-        return h5py.File(path, mode)
+        # No chunk cache: a full disk then shows at the write, not at the close, which HDF5 does not survive.
+        return h5py.File(path, mode, rdcc_nbytes=0)
     if not h5py.get_config().mpi:
         raise RuntimeError("h5py is the serial build; set H5PY_ALWAYS_USE_MPI=1 or install h5py with MPI")
     return h5py.File(path, mode, driver="mpio", comm=mpi.world())
@@ -171,7 +174,8 @@ def write_collective(dataset: h5py.Dataset, block: Block) -> None:
     The cast to the file's type happens in memory first: HDF5 refuses to convert within a filtered
     collective write.
     """
-    data = np.ascontiguousarray(block.data, dtype=dataset.dtype)
+    with np.errstate(over="ignore"):
+        data = np.ascontiguousarray(block.data, dtype=dataset.dtype)
     file_space = dataset.id.get_space()
     memory_space = h5py.h5s.create_simple(data.shape if data.size else (1, 1, 1))
     if data.size:
@@ -208,6 +212,7 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
     ``kind`` on all ranks and removes the file.
     """
     context = f"cannot write {path.name.removeprefix('.').removesuffix(PARTIAL)} in {path.parent}"
+    attempt_on_root(lambda: _check_space(path.parent, blocks, np.dtype(dtype).itemsize), context, kind)
     file = attempt_together(lambda: open_shared(path, "w"), context, kind)
     chunks = brick(blocks) if compress else [None] * len(blocks)
     filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compress else {}
@@ -220,17 +225,38 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
                 for place, block, chunk in zip(places, blocks, chunks, strict=True)]
 
     try:
-        try:
-            datasets = attempt_together(structure, context, kind)
-            for dataset, block in zip(datasets, blocks, strict=True):
-                attempt_together(lambda d=dataset, b=block: write_collective(d, b), context, kind)
-            attempt_together(file.flush, context, kind)
-        finally:
-            attempt_together(file.close, context, kind)
+        datasets = attempt_together(structure, context, kind)
+        for dataset, block in zip(datasets, blocks, strict=True):
+            attempt_together(lambda d=dataset, b=block: write_collective(d, b), context, kind)
+        attempt_together(file.flush, context, kind)
+        attempt_together(file.close, context, kind)
     except F2SError:
-        if mpi.is_root():
-            path.unlink(missing_ok=True)
+        _abandon(file, path)
         raise
+
+
+def _check_space(folder: pathlib.Path, blocks: Sequence[Block], itemsize: int) -> None:
+    needed = itemsize * sum(int(np.prod(block.global_shape, dtype=np.int64)) for block in blocks)
+    free = shutil.disk_usage(folder).free
+    if free < needed:
+        raise OSError(f"it needs {-(-needed // 10**6)} MB, {free // 10**6} MB are free")
+
+
+def _abandon(file: h5py.File, path: pathlib.Path) -> None:
+    """Close and remove a file that could not be written, on all ranks.
+
+    HDF5 crashes when it closes a file on a full disk, so its space is given back first.
+    """
+    if mpi.is_root() and path.exists():
+        os.truncate(path, 0)
+    mpi.barrier()
+    try:
+        file.close()
+    except (OSError, RuntimeError):
+        _UNCLOSED.append(file)
+    mpi.barrier()
+    if mpi.is_root():
+        path.unlink(missing_ok=True)
 
 
 def make_durable(path: pathlib.Path) -> None:

@@ -1,8 +1,8 @@
 """The proof that a checkpoint is whole: a small JSON file, written last, with a checksum per field.
 
-The checksum of a field is the sum modulo 2^64, over its cells, of the bits of the value times an odd
-hash of the cell's global index. A sum does not depend on order, so any number of ranks finds the same
-one; an odd factor is invertible, so any single changed value changes it.
+The checksum of a field is the sum modulo 2^64, over its cells, of mix(bits of the value XOR mix(global
+index + 1)). A sum does not depend on order, so any number of ranks finds the same one; ``mix`` is
+invertible, so any single changed value changes it.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ class Manifest:
     code_version: str
 
 
-def odd_hash(index: np.ndarray) -> np.ndarray:
-    """Return an odd, well mixed uint64 per index (finaliser of SplitMix64; Steele et al. 2014)."""
-    mixed = (index + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+def mix(bits: np.ndarray) -> np.ndarray:
+    """Return well mixed bits, one to one, uint64 (SplitMix64; Steele, Lea and Flood 2014)."""
+    mixed = bits * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= mixed >> np.uint64(30)
     mixed *= np.uint64(0xBF58476D1CE4E5B9)
     mixed ^= mixed >> np.uint64(27)
     mixed *= np.uint64(0x94D049BB133111EB)
     mixed ^= mixed >> np.uint64(31)
-    return mixed | np.uint64(1)
+    return mixed
 
 
 def partial_checksums(blocks: Sequence[Block]) -> np.ndarray:
@@ -75,10 +75,10 @@ def partial_checksums(blocks: Sequence[Block]) -> np.ndarray:
         column = np.arange(start[1], start[1] + shape[1], dtype=np.uint64)[:, None] * np.uint64(nx)
         for first in range(0, shape[0], planes):
             k = np.arange(first, min(first + planes, shape[0]), dtype=np.uint64) + np.uint64(start[0])
-            weight = odd_hash(k[:, None, None] * np.uint64(ny * nx) + column + row)
+            place = mix(k[:, None, None] * np.uint64(ny * nx) + column + row + np.uint64(1))
             for number in members:
                 data = np.ascontiguousarray(blocks[number].data[first:first + planes], dtype=np.float64)
-                share = np.add.reduce((data.view(np.uint64) * weight).ravel(), dtype=np.uint64)
+                share = np.add.reduce(mix(data.view(np.uint64) ^ place).ravel(), dtype=np.uint64)
                 sums[number] = (sums[number] + int(share)) & MASK
     return np.array(sums, dtype=np.uint64)
 

@@ -1,9 +1,9 @@
 """Which cells are worth touching: blocks of a grid row that hold material or border on it.
 
-A row (k, j) is divided into blocks of ``BLOCK`` cells. A block is active if any cell within one
-cell of it, in all directions, holds material; as nothing crosses more than one cell per step, every
-cell that material can reach in the step lies in an active block. Everything outside is void and all
-its fields are zero, so kernels that skip it give the same bits as kernels that do not.
+A row (k, j) is divided into blocks of ``BLOCK`` cells. A block is active if it holds a cell that
+material can reach in the step, at most one cell away in any direction, or a node of such a cell; nodes carry the
+index of the cell above them, so the margin is one on the low side and two on the high side.
+Everything outside is void and all its fields are zero, so kernels that skip it give the same bits as kernels that do not.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def mark_material(mass, shape, active, holds):
     """Note in ``holds`` which of the active blocks contain material.
 
     ``mass`` flat cell array; ``shape`` (nz, ny, nx) of it; ``active``, ``holds`` uint8 arrays
-    (nz, ny, blocks). Bits of ``holds``: 1 any cell, 2 first cell, 4 last cell of the block.
+    (nz, ny, blocks). Bits of ``holds``: 1 any cell, 2 the first cell, 4 one of the last two cells of the block.
     """
     nz, ny, nx = shape
     for k in range(nz):
@@ -37,21 +37,21 @@ def mark_material(mass, shape, active, holds):
                             break
                     if flag and mass[row + first] != 0.0:
                         flag |= 2
-                    if flag and mass[row + last - 1] != 0.0:
+                    if flag and (mass[row + last - 1] != 0.0 or mass[row + max(last - 2, first)] != 0.0):
                         flag |= 4
                 holds[k, j, b] = flag
 
 
 @kernel
 def grow_active(holds, active):
-    """Set ``active`` to the blocks within one cell of material, from the marks of ``holds``."""
+    """Set ``active`` to the blocks that material or its nodes can reach, from the marks of ``holds``."""
     nz, ny, blocks = holds.shape
     for k in range(nz):
         for j in range(ny):
             for b in range(blocks):
                 flag = 0
-                for kk in range(max(k - 1, 0), min(k + 2, nz)):
-                    for jj in range(max(j - 1, 0), min(j + 2, ny)):
+                for kk in range(max(k - 2, 0), min(k + 2, nz)):
+                    for jj in range(max(j - 2, 0), min(j + 2, ny)):
                         flag |= holds[kk, jj, b] & 1
                         if b > 0:
                             flag |= holds[kk, jj, b - 1] & 4

@@ -7,7 +7,7 @@ import numpy as np
 from f2s_hpc._jit import kernel
 from f2s_hpc.kernels.plane import interface_normal, plane_distance, slab_volume
 
-FULL = 1.0 - 1e-9
+FULL = 1.0 - 1e-12
 """A cell at least this full is treated as full: no plane, and tension if the closure allows."""
 
 

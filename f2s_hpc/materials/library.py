@@ -57,41 +57,41 @@ _ENTRIES: dict[str, tuple[str, dict]] = {
         "cold-sprayed copper, Ge model: Ge et al. 2026 (Free2Spray), Table 2",
         _metal(8960, 128, 0.34, 384.6, 385, 0.75, _GE_COPPER)),
     "copper-johnson-cook": (
-        "OFHC copper: Johnson and Cook 1983, 7th Int. Symp. on Ballistics, 541-547; elastic and thermal "
-        "constants as usual in cold-spray simulations",
+        ("OFHC copper: Johnson and Cook 1983, 7th Int. Symp. on Ballistics, 541-547; elastic and thermal "
+         "constants as usual in cold-spray simulations"),
         _metal(8960, 124, 0.34, 385, 386, 0.9,
                _johnson_cook(90, 292, 0.31, 0.025, 1.09, MELTING_COPPER, "298 K"))),
     "copper-taylor": (
-        "copper of the classic Taylor bar comparison (227 m/s), linear hardening: Simo 1992, Comput. Methods "
-        "Appl. Mech. Eng. 99, 61-112; the thermal constants play no part in it",
+        ("copper of the classic Taylor bar comparison (227 m/s), linear hardening: Simo 1992, Comput. Methods "
+         "Appl. Mech. Eng. 99, 61-112; the thermal constants play no part in it"),
         _metal(8930, 117, 0.35, 385, 386, 0.9,
                {"model": "linear_hardening", "yield_stress": "400 MPa", "hardening_modulus": "100 MPa"})),
     "copper-piston": (
-        "copper of the elastic-plastic piston: Udaykumar et al. 2003, J. Comput. Phys. 186, 136-177; E and nu "
-        "chosen so that G is exactly 45 GPa and K = rho c0^2; adiabatic, all plastic work is internal energy",
+        ("copper of the elastic-plastic piston: Udaykumar et al. 2003, J. Comput. Phys. 186, 136-177; E and nu "
+         "chosen so that G is exactly 45 GPa and K = rho c0^2; adiabatic, all plastic work is internal energy"),
         {**_metal(_PISTON_DENSITY, 1, 0, 385, 0, 1.0,
                   {"model": "linear_hardening", "yield_stress": "90 MPa", "hardening_modulus": "0 Pa"}),
          **_piston_elasticity(),
          "pressure": {"model": "mie_grueneisen", "sound_speed": "3940 m/s", "slope_s": 1.49, "gamma": 2.0}}),
     "aluminium-6061-t6": (
-        "Lesuer, Kay and LeBlanc 2001, Modeling large-strain, high-rate deformation in metals, "
-        "UCRL-JC-134118; elastic and thermal constants: handbook values",
+        ("Lesuer, Kay and LeBlanc 2001, Modeling large-strain, high-rate deformation in metals, "
+         "UCRL-JC-134118; elastic and thermal constants: handbook values"),
         _metal(2700, 68.9, 0.33, 896, 167, 0.9, _johnson_cook(324, 114, 0.42, 0.002, 1.34, "925 K", "298 K"))),
     "titanium-ti64": (
-        "Ti-6Al-4V: Lesuer 2000, Experimental investigations of material models for Ti-6Al-4V titanium and "
-        "2024-T3 aluminum, DOT/FAA/AR-00/25; elastic and thermal constants: handbook values",
+        ("Ti-6Al-4V: Lesuer 2000, Experimental investigations of material models for Ti-6Al-4V titanium and "
+         "2024-T3 aluminum, DOT/FAA/AR-00/25; elastic and thermal constants: handbook values"),
         _metal(4430, 113.8, 0.342, 526.3, 6.7, 0.9, _johnson_cook(1098, 1092, 0.93, 0.014, 1.1, "1878 K", "298 K"))),
     "steel-316l": (
-        "AISI 316L: Umbrello, M'Saoubi and Outeiro 2007, Int. J. Mach. Tools Manuf. 47, 462-470; elastic and "
-        "thermal constants: handbook values",
+        ("AISI 316L: Umbrello, M'Saoubi and Outeiro 2007, Int. J. Mach. Tools Manuf. 47, 462-470; elastic and "
+         "thermal constants: handbook values"),
         _metal(7990, 193, 0.3, 500, 16.3, 0.9, _johnson_cook(305, 1161, 0.61, 0.01, 0.517, "1673 K", "293 K"))),
     "tantalum": (
-        "Chen and Gray 1996, Constitutive behavior of tantalum and tantalum-tungsten alloys, Metall. Mater. "
-        "Trans. A 27, 2994-3006; elastic and thermal constants: handbook values",
+        ("Chen and Gray 1996, Constitutive behavior of tantalum and tantalum-tungsten alloys, Metall. Mater. "
+         "Trans. A 27, 2994-3006; elastic and thermal constants: handbook values"),
         _metal(16600, 186, 0.34, 140, 57.5, 0.9, _johnson_cook(142, 164, 0.3148, 0.057, 0.8836, "3250 K", "298 K"))),
     "tungsten-alloy": (
-        "tungsten alloy with 7 % Ni, 3 % Fe: Johnson and Cook 1983, 7th Int. Symp. on Ballistics, 541-547; "
-        "elastic and thermal constants: handbook values",
+        ("tungsten alloy with 7 % Ni, 3 % Fe: Johnson and Cook 1983, 7th Int. Symp. on Ballistics, 541-547; "
+         "elastic and thermal constants: handbook values"),
         _metal(17000, 345, 0.28, 134, 75, 0.9, _johnson_cook(1506, 177, 0.12, 0.016, 1.0, "1723 K", "298 K"))),
 }
 

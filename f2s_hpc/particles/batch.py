@@ -114,11 +114,10 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     """
     path = Path(path)
     partial = path.with_name(path.name + ".part")
-    lines = [",".join(COLUMNS)]
-    for sphere in zip(batch.x, batch.y, batch.z, batch.r):
-        lines.append(",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere))
+    spheres = zip(batch.x, batch.y, batch.z, batch.r)
+    rows = (",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere) for sphere in spheres)
     try:
-        partial.write_text("\n".join(lines) + "\n", encoding="ascii")
+        partial.write_text("\n".join([",".join(COLUMNS), *rows]) + "\n", encoding="ascii")
         os.replace(partial, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None

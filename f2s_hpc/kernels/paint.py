@@ -1,0 +1,104 @@
+"""Putting spheres into the fields of a rank."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc._jit import kernel
+from f2s_hpc.kernels.sphere import sphere_bounds, sphere_volume_fractions
+
+
+@kernel
+def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, overlap):
+    """Largest mass that a cell of ``window`` would hold if each chosen sphere alone were added to it.
+
+    ``x, y, z, r``: spheres (m); ``offset``: global index (i, j, k) of local cell 0; ``window``:
+    (k0, k1, j0, j1, i0, i1) local; ``mass``: 3-D local array; ``overlap[s]`` is raised to the result, in full cells.
+    Cells without material do not count, so a sphere in free space has overlap 0.
+    """
+    k0, k1, j0, j1, i0, i1 = window
+    for s in range(x.size):
+        if not chosen[s]:
+            continue
+        a0, a1, b0, b1, c0, c1 = sphere_bounds(x[s], y[s], z[s], r[s], 0.0, 0.0, 0.0, dx, i0 + offset[0],
+                                               i1 + offset[0], j0 + offset[1], j1 + offset[1], k0 + offset[2],
+                                               k1 + offset[2])
+        if a1 <= a0 or b1 <= b0 or c1 <= c0:
+            continue
+        share = np.empty((c1 - c0, b1 - b0, a1 - a0))
+        sphere_volume_fractions(x[s], y[s], z[s], r[s], 0.0, 0.0, 0.0, dx, a0, a1, b0, b1, c0, c1, share)
+        for k in range(c0, c1):
+            for j in range(b0, b1):
+                for i in range(a0, a1):
+                    there = mass[k - offset[2], j - offset[1], i - offset[0]]
+                    f = share[k - c0, j - b0, i - a0]
+                    if there > 0.0 and f > 0.0:
+                        overlap[s] = max(overlap[s], there + f)
+
+
+@kernel
+def add_spheres(x, y, z, r, offset, dx, added):
+    """Add the volume fractions of all spheres to ``added``, a local array [k, j, i] with ghosts.
+
+    ``offset``: global index (i, j, k) of local cell 0. Spheres are added in their order, so the sum in a
+    cell that two of them share has the same bits on every rank.
+    """
+    nz, ny, nx = added.shape
+    for s in range(x.size):
+        i0, i1, j0, j1, k0, k1 = sphere_bounds(x[s], y[s], z[s], r[s], 0.0, 0.0, 0.0, dx, offset[0], offset[0] + nx,
+                                               offset[1], offset[1] + ny, offset[2], offset[2] + nz)
+        if i1 <= i0 or j1 <= j0 or k1 <= k0:
+            continue
+        share = np.empty((k1 - k0, j1 - j0, i1 - i0))
+        sphere_volume_fractions(x[s], y[s], z[s], r[s], 0.0, 0.0, 0.0, dx, i0, i1, j0, j1, k0, k1, share)
+        for k in range(k0, k1):
+            for j in range(j0, j1):
+                for i in range(i0, i1):
+                    added[k - offset[2], j - offset[1], i - offset[0]] += share[k - k0, j - j0, i - i0]
+
+
+@kernel
+def merge_cells(added, mass, fraction, temperature, new_temperature, memory, diluted):
+    """Add new material at ``new_temperature`` (K), stress-free and unstrained, to the cells.
+
+    ``added``, ``mass``, ``fraction``, ``temperature``: flat cell arrays; ``diluted``: offsets into
+    ``memory`` of the mass-weighted fields that the new material brings as zero (stress, PEEQ, ...).
+    """
+    for c in range(added.size):
+        new = added[c]
+        if new == 0.0:
+            continue
+        old = mass[c]
+        whole = old + new
+        temperature[c] = new_temperature if old == 0.0 else temperature[c] + new / whole * (
+            new_temperature - temperature[c])
+        for f in range(diluted.size):
+            memory[diluted[f] + c] *= old / whole
+        mass[c] = whole
+        fraction[c] = 1.0 if whole >= 1.0 or fraction[c] >= 1.0 else whole
+
+
+@kernel
+def merge_nodes(shape, added, mass, velocity, u, v, w):
+    """Give the nodes the momentum of material moving at ``velocity`` (m/s) that was added to their cells.
+
+    ``mass`` is the mass after the addition; call on cell arrays with ghosts, node arrays one larger.
+    """
+    nz, ny, nx = shape
+    for k in range(1, nz):
+        for j in range(1, ny):
+            for i in range(1, nx):
+                new, whole = 0.0, 0.0
+                for c in range(2):
+                    for b in range(2):
+                        for a in range(2):
+                            n = ((k - c) * ny + j - b) * nx + i - a
+                            new += added[n]
+                            whole += mass[n]
+                if new == 0.0:
+                    continue
+                share = new / whole
+                n = (k * (ny + 1) + j) * (nx + 1) + i
+                u[n] += share * (velocity[0] - u[n])
+                v[n] += share * (velocity[1] - v[n])
+                w[n] += share * (velocity[2] - w[n])

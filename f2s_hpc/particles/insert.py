@@ -1,0 +1,179 @@
+"""Painting material into the box: the substrate, and batches of spheres into the particle layer.
+
+A batch may meet material still in the layer (stragglers of the last batch, splashed fragments). A
+sphere that would overfill a cell is moved by as little as frees it, else kept back for the next
+batch: mass is neither created nor lost, and the report says how many were moved and how far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.fields import VELOCITY
+from f2s_hpc.grid.box import GHOST
+from f2s_hpc.kernels import momentum, paint, remap
+from f2s_hpc.particles.batch import Batch
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+OVERFILL = 1.0 + 1e-3
+"""A cell may be overfilled by this much: 0.1 % of compression, far below that of any impact."""
+
+ROUNDS = 60
+
+
+@dataclass
+class InsertReport:
+    """What happened when a batch was put in."""
+
+    spheres: int = 0
+    moved: int = 0
+    largest_move: float = 0.0
+    deferred: Batch | None = None
+    volume: float = 0.0
+    positions: Batch | None = field(default=None, repr=False)
+
+    def message(self) -> str:
+        """Return one sentence for the log; empty when every sphere went where it was asked to."""
+        parts = []
+        if self.moved:
+            parts.append(f"{self.moved} spheres moved by up to {self.largest_move * 1e6:.2f} um to clear material "
+                         "still in the layer")
+        if self.deferred is not None and self.deferred.count:
+            parts.append(f"{self.deferred.count} spheres found no free place and wait for the next batch")
+        return "; ".join(parts)
+
+
+def mass_quanta(array: np.ndarray, quantum: float) -> int:
+    """Return the exact sum of ``array`` in units of ``quantum`` on this rank, plane by plane."""
+    return sum(int(np.floor(plane / quantum).astype(np.int64).sum()) for plane in array)
+
+
+def paint_substrate(state: State, height: float, temperature: float) -> None:
+    """Fill the box up to ``height`` (m) with material at rest at ``temperature`` (K)."""
+    dx = state.part.box.dx
+    k0 = state.part.start[2] - GHOST
+    bottoms = (np.arange(state.part.cell_shape[0]) + k0) * dx
+    share = np.clip((height - bottoms) / dx, 0.0, 1.0)
+    # a layer thinner than round-off of the height is not material
+    share[share < 1e-9] = 0.0
+    for k in np.flatnonzero(share):
+        state.views["mass"][k] = share[k]
+        state.views["volume_fraction"][k] = share[k]
+        state.views["temperature"][k] = temperature
+    state.exchange(state.ghosted)
+    state.everything_active()
+
+
+def _offset(state: State) -> tuple[int, int, int]:
+    return tuple(s - GHOST for s in state.part.start)
+
+
+def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
+    overlap = np.zeros(batch.count)
+    paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, chosen, _offset(state), state.part.box.dx,
+                          state.cell_window(), state.views["mass"], overlap)
+    return mpi.maximum(overlap)
+
+
+def _proposal(batch: Batch, index: int, attempt: int, bounds: tuple[float, float, float, float], dx: float,
+              generator: np.random.Generator) -> tuple[float, float, float] | None:
+    """Return a new place for a sphere: first straight up by cells, then ever wider around; None if another sphere is there."""
+    bottom, top, width, depth = bounds
+    r = batch.r[index]
+    if attempt < 6:
+        shift = np.array([0.0, 0.0, (attempt + 1) * 0.5 * dx])
+    else:
+        shift = generator.normal(size=3) * dx * (attempt - 4)
+    x, y, z = np.array([batch.x[index], batch.y[index], batch.z[index]]) + shift
+    x, y = min(max(x, 0.0), width), min(max(y, 0.0), depth)
+    if z - r < bottom or z + r > top:
+        return None
+    distance = np.sqrt((batch.x - x) ** 2 + (batch.y - y) ** 2 + (batch.z - z) ** 2)
+    distance[index] = np.inf
+    return None if (distance < batch.r + r).any() else (x, y, z)
+
+
+def _clear_of_material(state: State, batch: Batch, layer: tuple[float, float], seed: int) -> tuple[Batch, np.ndarray]:
+    """Move spheres of ``batch`` (z from the bottom of the box) out of existing material.
+
+    Every rank does the same with the same random numbers; only the overlap test is collective.
+    Returns the batch with its new places, and which spheres still overlap.
+    """
+    dx = state.part.box.dx
+    width, depth, _ = state.part.box.extents
+    generator = np.random.Generator(np.random.PCG64(seed))
+    wanted = batch
+    batch = Batch(*(a.copy() for a in (batch.x, batch.y, batch.z, batch.r)))
+    overlapping = _overlaps(state, batch, np.ones(batch.count, dtype=np.bool_)) > OVERFILL
+    for attempt in range(ROUNDS):
+        if not overlapping.any():
+            break
+        proposed = np.zeros(batch.count, dtype=np.bool_)
+        for index in np.flatnonzero(overlapping):
+            before = batch.x[index], batch.y[index], batch.z[index]
+            batch.x[index], batch.y[index], batch.z[index] = wanted.x[index], wanted.y[index], wanted.z[index]
+            place = _proposal(batch, index, attempt, (*layer, width, depth), dx, generator)
+            batch.x[index], batch.y[index], batch.z[index] = place or before
+            proposed[index] = place is not None
+        # a proposal that still overlaps is replaced in the next round
+        overlapping = (_overlaps(state, batch, proposed) > OVERFILL) | (overlapping & ~proposed)
+    return batch, overlapping
+
+
+def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, velocity: tuple[float, float, float],
+                temperature: float, ledger: Ledger, seed: int) -> InsertReport:
+    """Put a batch (z from ``layer_bottom``, m) into the box, stress-free, at ``velocity`` and ``temperature`` (K).
+
+    The parts of spheres beyond the sides of the box are cut off, as the sides are mirrors.
+    Collective; all ghosts are valid before and after.
+    """
+    report = InsertReport(spheres=batch.count)
+    asked = Batch(batch.x, batch.y, batch.z + layer_bottom, batch.r)
+    layer = (layer_bottom, state.part.box.extents[2])
+    placed, blocked = _clear_of_material(state, asked, layer, seed)
+    moves = np.sqrt((placed.x - asked.x) ** 2 + (placed.y - asked.y) ** 2 + (placed.z - asked.z) ** 2)[~blocked]
+    report.moved, report.largest_move = int((moves > 0.0).sum()), float(moves.max(initial=0.0))
+    if blocked.any():
+        report.spheres -= int(blocked.sum())
+        report.deferred = Batch(*(a[blocked] for a in (batch.x, batch.y, batch.z, batch.r)))
+        placed = Batch(*(a[~blocked] for a in (placed.x, placed.y, placed.z, placed.r)))
+    report.positions = placed
+    _add(state, model, placed, velocity, temperature, ledger, report)
+    return report
+
+
+def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
+         ledger: Ledger, report: InsertReport) -> None:
+    flat, part = state.flat, state.part
+    added = np.zeros(part.cell_shape)
+    paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), part.box.dx, added)
+    state.boundary.fill({"mass": added}, ("mass",))
+    before = kinetic_quanta(state, model)
+    diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
+    paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
+                      state.pool.memory, diluted)
+    paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
+    state.boundary.hold([state.views[n] for n in VELOCITY])
+    state.exchange(state.ghosted)
+    state.everything_active()
+    ledger.add("brought_in", kinetic_quanta(state, model) - before)
+    quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
+    ledger.add("mass_painted", quanta)
+    report.volume = float(mpi.total(np.int64(quanta))) * model.mass_quantum * part.box.dx**3
+
+
+def kinetic_quanta(state: State, model: Model) -> int:
+    """Return the kinetic energy of the owned nodes in quanta, an exact sum."""
+    state.everything_active()
+    state.update_activity()
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    remap.nodal_masses(runs, count, state.node_window(), shape, state.flat["mass"], state.flat["nodal_mass"])
+    return int(momentum.kinetic_energy(runs, count, state.node_window(), shape, state.boundary.weights,
+                                       state.flat["nodal_mass"], *state.velocity, model.energy_quantum, model.dx,
+                                       model.bulk.density))

@@ -1,0 +1,62 @@
+#!/usr/bin/env bash
+# A run that is longer than a job may be: starts it, and goes on from the newest checkpoint in job after job
+# until it is complete.
+#
+#   OUT=runs/section4 sbatch jobs/chain.sh --set domain.cell_size="2 um"     arguments only count at the start
+#   OUT=runs/section4 bash jobs/chain.sh                                     on a workstation: one after another
+#   DRY_RUN=1 bash jobs/chain.sh                                             only print the command
+#
+# Ten minutes before the time limit SLURM signals, f2s writes a checkpoint and returns 75, and this job puts
+# itself in the queue again. A node that fails is the same case: SLURM requeues, f2s resumes. Another number of
+# ranks is possible at any link. The chain ends when the run is complete, at any other error, or when a link
+# has gained no checkpoint.
+#
+# Variables: SCENE, OUT, and those of jobs/common.sh.
+#SBATCH --job-name=f2s-chain
+#SBATCH --nodes=1
+#SBATCH --ntasks-per-node=32
+#SBATCH --cpus-per-task=1
+#SBATCH --time=12:00:00
+#SBATCH --signal=B:USR1@600
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --output=%x-%j.log
+set -euo pipefail
+
+. "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}/jobs/common.sh"
+SCENE=${SCENE:-section4}
+OUT=${OUT:-runs/$SCENE-chain}
+NOT_FINISHED=75
+
+newest_checkpoint() {
+    [ ! -d "$OUT/checkpoints" ] || find "$OUT/checkpoints" -name '*.json' | sort | tail -n 1
+}
+
+# link ARGUMENTS...: one job's worth of the run.
+link() {
+    if [ -d "$OUT" ] && [ -n "$(ls -A "$OUT")" ]; then
+        run_ranks "$NTASKS" f2s resume "$OUT"
+    else
+        run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" "$@"
+    fi
+}
+
+prepare_node
+while true; do
+    before=$(newest_checkpoint)
+    code=0
+    link "$@" || code=$?
+    if [ $code -ne $NOT_FINISHED ]; then
+        [ $code -eq 0 ] || echo "the chain ends: f2s returned $code"
+        exit $code
+    fi
+    if [ "$(newest_checkpoint)" = "$before" ]; then
+        echo "the chain ends: this link gained no checkpoint; give it more time or more ranks"
+        exit $NOT_FINISHED
+    fi
+    if [ -n "${SLURM_JOB_ID:-}" ]; then
+        echo "not finished: back to the queue"
+        scontrol requeue "$SLURM_JOB_ID"
+        exit 0
+    fi
+done

@@ -1,0 +1,60 @@
+# Shared by the job scripts of this folder; they read it with "."  Not a job itself.
+#
+# Variables that every job script understands:
+#   F2S_ROOT    the repository; the folder where sbatch was called, if not set
+#   F2S_MODULES modules to load, "openmpi petsc hdf5-parallel"; none, if not set
+#   LAUNCH      how ranks are started: "mpirun -n" (if not set), or for example "srun --mpi=pmix -n"
+#   DRY_RUN=1   print the commands instead of running them
+
+F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}
+LAUNCH=${LAUNCH:-mpirun -n}
+NTASKS=${SLURM_NTASKS:-2}
+DRY_RUN=${DRY_RUN:-0}
+
+# prepare_node: modules, f2s on PATH, compiled kernels on the node's own disk.
+prepare_node() {
+    cd "$F2S_ROOT" || exit 1
+    if [ "$DRY_RUN" = 1 ]; then
+        return
+    fi
+    if [ -n "${F2S_MODULES:-}" ]; then
+        # shellcheck disable=SC2086
+        module load $F2S_MODULES
+    fi
+    . scripts/env.sh
+    # Network file systems are slow for many small files, and lock them badly.
+    if [ -n "${SLURM_TMPDIR:-}" ]; then
+        export F2S_CACHE_DIR="$SLURM_TMPDIR/f2s_hpc"
+    fi
+    command -v f2s >/dev/null || { echo "f2s is not on PATH: run scripts/setup in $F2S_ROOT first" >&2; exit 1; }
+}
+
+# run_ranks N COMMAND...: run COMMAND on N ranks and return its exit code. SIGUSR1, which SLURM sends to this
+# script before the time limit (#SBATCH --signal=B:USR1@...), goes on to the ranks: f2s then writes a
+# checkpoint, ends, and returns 75 ("not finished: start me again").
+run_ranks() {
+    local count=$1 child code passed_on
+    shift
+    # shellcheck disable=SC2086
+    set -- $LAUNCH "$count" "$@"
+    if [ "$DRY_RUN" = 1 ]; then
+        printf '%q ' "$@"
+        printf '\n'
+        return 0
+    fi
+    echo "$(date '+%F %T') $*"
+    "$@" </dev/null &
+    child=$!
+    passed_on=no
+    trap 'echo "time is nearly over: asking the ranks for a checkpoint"; passed_on=yes; kill -USR1 $child' USR1
+    trap 'passed_on=yes; kill -TERM $child' TERM
+    while true; do
+        code=0
+        wait $child || code=$?
+        # A signal interrupts wait; the command itself goes on.
+        [ $passed_on = yes ] || break
+        passed_on=no
+    done
+    trap - USR1 TERM
+    return $code
+}

@@ -1,0 +1,40 @@
+#!/usr/bin/env bash
+# Strong scaling: the same case on more and more ranks, one after another inside one job; ends with a table.
+#
+#   sbatch --nodes=4 --exclusive jobs/strong-scaling.sh
+#   RANKS="1 2" bash jobs/strong-scaling.sh             on a workstation
+#   DRY_RUN=1 bash jobs/strong-scaling.sh               only print the commands
+#
+# Without RANKS: 1, 2, 4, ... up to the tasks of the job. Nothing but the summary is written, so that the
+# numbers are those of the solver. The kernels are compiled in a first short run that is not counted.
+#
+# Variables: SCENE, CELL_SIZE, DURATION (simulated time), RANKS, OUT, and those of jobs/common.sh.
+#SBATCH --job-name=f2s-strong
+#SBATCH --nodes=1
+#SBATCH --ntasks-per-node=32
+#SBATCH --cpus-per-task=1
+#SBATCH --exclusive
+#SBATCH --time=04:00:00
+#SBATCH --output=%x-%j.log
+set -euo pipefail
+
+. "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}/jobs/common.sh"
+SCENE=${SCENE:-section4}
+CELL_SIZE=${CELL_SIZE:-3 um}
+DURATION=${DURATION:-100 ns}
+OUT=${OUT:-runs/strong-scaling-${SLURM_JOB_ID:-local}}
+RANKS=${RANKS:-$(for ((n = 1; n <= NTASKS; n *= 2)); do echo $n; done)}
+
+# measure RANKS FOLDER DURATION
+measure() {
+    run_ranks "$1" f2s run "$SCENE" --out "$2" --set "domain.cell_size=$CELL_SIZE" \
+        --set cycles.count=1 --set "cycles.duration=$3" --set "cycles.last_duration=$3" \
+        --set output.frames=none --set output.checkpoints=false --set output.picture=false
+}
+
+prepare_node
+measure 1 "$OUT/compile" "1 ns"
+for ranks in $RANKS; do
+    measure "$ranks" "$OUT/ranks-$ranks" "$DURATION"
+done
+[ "$DRY_RUN" = 1 ] || python jobs/scaling_table.py "$OUT"

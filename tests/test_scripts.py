@@ -1,0 +1,282 @@
+"""The scripts, the job templates, the pins and the report of the tests under several ranks."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import pathlib
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+import tomllib
+
+import pytest
+from conftest import ROOT, launch
+
+from f2s_hpc.doctor import launch_environment
+
+SHELL_FILES = ["scripts/setup", "scripts/quickstart", "scripts/test", "scripts/env.sh", ".ci/run", "jobs/common.sh",
+               "jobs/section4.sh", "jobs/chain.sh", "jobs/strong-scaling.sh", "jobs/weak-scaling.sh"]
+FAKE_MPIRUN = 'shift 2\nexec "$@"'
+
+
+def write_command(path: pathlib.Path, body: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("#!/usr/bin/env bash\n" + textwrap.dedent(body) + "\n")
+    path.chmod(0o755)
+
+
+def bash(command: list[str], cwd: pathlib.Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in launch_environment(os.environ).items()
+                   if not name.startswith(("SLURM_", "F2S_", "PYTEST_"))} | variables
+    return subprocess.run(["bash", *command], cwd=cwd, env=environment, stdin=subprocess.DEVNULL, timeout=120,
+                          capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A copy of the scripts with an empty ``.venv/bin``, to be filled with stand-ins of the commands."""
+    for folder in ("scripts", "jobs", ".ci"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", SHELL_FILES)
+def test_shell_syntax(name):
+    done = bash(["-n", str(ROOT / name)], ROOT)
+    assert done.returncode == 0, done.stderr
+    assert os.access(ROOT / name, os.X_OK) or name in ("scripts/env.sh", "jobs/common.sh")
+
+
+@pytest.mark.parametrize("job", ["section4", "chain", "strong-scaling", "weak-scaling"])
+def test_job_dry_run_prints_its_commands(project, job):
+    done = bash([f"jobs/{job}.sh"], project, DRY_RUN="1", SLURM_NTASKS="4", OUT="runs/here")
+    assert done.returncode == 0, done.stderr
+    commands = done.stdout.splitlines()
+    assert all(re.match(r"mpirun -n \d+ f2s run section4 --out runs/here", line) for line in commands)
+    ranks = [int(line.split()[2]) for line in commands]
+    assert ranks == ([1, 1, 2, 4] if "scaling" in job else [4])
+    assert not (project / "runs").exists()
+
+
+def test_weak_scaling_keeps_the_work_of_a_rank(project):
+    done = bash(["jobs/weak-scaling.sh"], project, DRY_RUN="1", RANKS="1 6", PATCH_MM="0.1", PARTICLES="40")
+    first, last = (line.replace("\\", "") for line in done.stdout.splitlines()[1:])
+    assert 'domain.size=["0.1 mm", "0.1 mm", "0.6 mm"]' in first
+    assert "batches.particles=40 " in first
+    assert 'domain.size=["0.3 mm", "0.2 mm", "0.6 mm"]' in last
+    assert "batches.particles=240 " in last
+
+
+def test_chain_resumes_until_complete(project):
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/f2s", """
+        echo "$*" >>calls
+        mkdir -p runs/c/checkpoints
+        links=$(wc -l <calls)
+        touch "runs/c/checkpoints/checkpoint_$links.json"
+        [ $links -eq 3 ] || exit 75
+        """)
+    done = bash(["jobs/chain.sh", "--set", "a=b c"], project, OUT="runs/c", SCENE="splat")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (project / "calls").read_text().splitlines() == [
+        "run splat --out runs/c --set a=b c", "resume runs/c", "resume runs/c"]
+
+
+def test_chain_in_slurm_goes_back_to_the_queue(project):
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/f2s", "mkdir -p runs/c/checkpoints; touch runs/c/checkpoints/a.json; exit 75")
+    write_command(project / ".venv/bin/scontrol", 'echo "scontrol $*" >>calls')
+    done = bash(["jobs/chain.sh"], project, OUT="runs/c", SLURM_JOB_ID="17", SLURM_SUBMIT_DIR=str(project))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (project / "calls").read_text() == "scontrol requeue 17\n"
+
+
+@pytest.mark.parametrize(("body", "code", "said"), [
+    ("exit 75", 75, "gained no checkpoint"), ("exit 4", 4, "f2s returned 4")])
+def test_chain_ends_when_it_gains_nothing_or_fails(project, body, code, said):
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/f2s", body)
+    done = bash(["jobs/chain.sh"], project, OUT="runs/c")
+    assert done.returncode == code
+    assert said in done.stdout
+
+
+def test_job_passes_the_signal_to_the_ranks(project):
+    """Fails when ``run_ranks`` does not pass SIGUSR1 on, or loses the exit code after it."""
+    (project / "ranks.py").write_text(textwrap.dedent("""
+        import pathlib, signal, sys, time
+        from mpi4py import MPI
+        signal.signal(signal.SIGUSR1, lambda number, frame: sys.exit(75))
+        pathlib.Path(f"ready-{MPI.COMM_WORLD.Get_rank()}").touch()
+        time.sleep(60)
+        """))
+    write_command(project / ".venv/bin/f2s", f"exec {sys.executable} ranks.py")
+    job = subprocess.Popen(["bash", "jobs/section4.sh"], cwd=project, env=launch_environment(os.environ),
+                           stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    deadline = time.monotonic() + 60
+    while len(list(project.glob("ready-*"))) < 2 and time.monotonic() < deadline and job.poll() is None:
+        time.sleep(0.05)
+    job.send_signal(signal.SIGUSR1)
+    output, _ = job.communicate(timeout=60)
+    assert job.returncode == 75, output
+    assert "not finished in this job" in output
+
+
+def test_scaling_table(project):
+    for ranks, rate in ((1, 2.0e6), (4, 6.0e6), (2, 4.0e6)):
+        folder = project / "study" / f"ranks-{ranks}"
+        folder.mkdir(parents=True)
+        (folder / "summary.json").write_text(json.dumps({
+            "status": "complete", "ranks": ranks, "cells": 1000, "steps": 10, "wall_s": 8.0 / ranks,
+            "active_cell_steps_per_s": rate, "peak_memory_bytes": 2**20 * ranks}))
+    done = launch([sys.executable, str(project / "jobs/scaling_table.py"), str(project / "study")])
+    assert done.returncode == 0, done.stderr
+    rows = [line.split(",") for line in (project / "study" / "scaling.csv").read_text().splitlines()[1:]]
+    assert [(int(row[0]), float(row[5]), float(row[6])) for row in rows] == [
+        (1, 1.0, 2.0**20), (2, 1.0, 2.0**20), (4, 0.75, 2.0**20)]
+    done = launch([sys.executable, str(project / "jobs/scaling_table.py"), str(project)])
+    assert done.returncode == 2
+    assert "no ranks-*/summary.json" in done.stderr
+
+
+@pytest.mark.parametrize(("there", "said"), [
+    ([], "this is not Debian (no apt-get)"), (["apt-get", "dpkg-query"], "neither root nor sudo")])
+def test_setup_without_apt_or_rights_names_the_packages(project, there, said):
+    """A machine where nothing is installed and nothing may be: the packages, other routes, and no .venv made."""
+    tools = project / "tools"
+    for name in ("bash", "dirname", "cat", "sha256sum", "cut", "grep", "env", "rm"):
+        tools.mkdir(exist_ok=True)
+        (tools / name).symlink_to(shutil.which(name))
+    write_command(tools / "id", "echo 1000")
+    for name in there:
+        write_command(tools / name, "exit 1")
+    (project / ".venv" / "bin").rmdir()
+    done = bash(["scripts/setup"], project, PATH=str(tools))
+    assert done.returncode == 1, done.stdout
+    assert said in done.stderr
+    assert "python3-petsc4py python3-mpi4py python3-h5py-mpi openmpi-bin python3-venv" in done.stderr
+    assert "conda create" in done.stderr
+    assert bash(["scripts/setup", "--check"], project, PATH=str(tools)).returncode == 1
+    assert not (project / ".venv" / "bin").exists()
+
+
+def environment_made_by_setup() -> None:
+    if bash(["scripts/setup", "--check"], ROOT).returncode:
+        pytest.skip("this environment was not made by scripts/setup")
+
+
+def test_setup_again_needs_no_network():
+    environment_made_by_setup()
+    nowhere = "http://127.0.0.1:9/"
+    done = bash(["scripts/setup"], ROOT, PIP_INDEX_URL=nowhere, http_proxy=nowhere, https_proxy=nowhere)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "setup: everything is in place: .venv/bin/f2s\n"
+
+
+def test_environment_needs_no_exported_variable():
+    environment_made_by_setup()
+    code = "import h5py, petsc4py.PETSc, os; assert h5py.get_config().mpi; print(os.environ['OMP_NUM_THREADS'])"
+    done = subprocess.run([ROOT / ".venv/bin/python", "-c", code], env={"PATH": os.environ["PATH"]}, check=False,
+                          capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
+
+
+def test_pins_are_what_is_installed():
+    """What was tested together is what is pinned."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pins = table["dependencies"] + table["optional-dependencies"]["test"] + table["optional-dependencies"]["pins"]
+    for pin in pins:
+        name, version = pin.split("==")
+        assert importlib.metadata.version(name) == version, name
+
+
+def test_quickstart_numbers_its_folders_and_reports(project):
+    write_command(project / "scripts/setup", "exit 0")
+    (project / ".venv/bin/python").symlink_to(sys.executable)
+    write_command(project / ".venv/bin/mpirun", 'echo "$*" >>calls\nshift 2\nexec "$@"')
+    write_command(project / ".venv/bin/f2s", """
+        mkdir -p "$4"
+        echo '{"status": "complete", "particles": 40, "dense_height_m": 3.1e-5}' >"$4/summary.json"
+        touch "$4/deposit.png" "$4/summary.csv" "$4/deposit.vtkhdf"
+        """)
+    for arguments in ([], ["--ranks", "3", "--", "--set", "a=1"]):
+        done = bash(["scripts/quickstart", *arguments], project)
+        assert done.returncode == 0, done.stderr
+    assert (project / "calls").read_text().splitlines() == [
+        "-n 2 f2s run quickstart --out runs/quickstart-1",
+        "-n 3 f2s run quickstart --out runs/quickstart-2 --set a=1"]
+    assert re.search(r"mean dense height +31 um", done.stdout)
+    for name in ("deposit.png", "summary.json", "summary.csv", "deposit.vtkhdf"):
+        assert f"runs/quickstart-2/{name}\n" in done.stdout
+    assert bash(["scripts/quickstart", "--ranks", "none"], project).returncode == 2
+
+
+@pytest.mark.parametrize(("linter", "code", "last"), [
+    ("exit 0", 0, "8 passed, 4 skipped in"), ("exit 1", 1, "8 passed, 4 skipped, 1 error in")])
+def test_test_script_sums_up_all_parts(project, linter, code, last):
+    write_command(project / "scripts/setup", "exit 0")
+    write_command(project / ".venv/bin/ruff", linter)
+    write_command(project / ".venv/bin/lint-imports", "exit 0")
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/python", """
+        echo "$*" >>calls
+        printf 'failed 0\\npassed 2\\nskipped 1\\n' >>"$F2S_TEST_TALLY"
+        """)
+    done = bash([".ci/run"], project)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert re.fullmatch(rf"=+ {last} [\d.]+s =+", done.stdout.splitlines()[-1])
+    calls = (project / "calls").read_text().splitlines()
+    assert [line.endswith("-m mpi") for line in calls] == [False, True, True, True]
+
+
+RANKED_TEST = """
+    import sys
+    import pytest
+    from f2s_hpc import mpi
+
+    @pytest.mark.mpi
+    def test_one_rank_is_wrong():
+        if {hang}:
+            if mpi.rank() == 0:
+                mpi.barrier()
+        assert mpi.rank() == 0, "this rank is wrong"
+
+    @pytest.mark.mpi
+    def test_right():
+        assert mpi.size() == 2
+    """
+
+
+def pytest_on_two_ranks(folder: pathlib.Path, hang: bool) -> subprocess.CompletedProcess[str]:
+    shutil.copy(ROOT / "tests" / "conftest.py", folder)
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    (folder / "test_ranked.py").write_text(textwrap.dedent(RANKED_TEST).format(hang=hang))
+    command = [sys.executable, "-m", "pytest", "--color=no", "-p", "no:cacheprovider", "test_ranked.py"]
+    return launch(command, ranks=2, cwd=folder, timeout=60, environment={"F2S_TEST_PATIENCE_S": "2"})
+
+
+def test_failure_on_another_rank_fails_the_test_once(tmp_path):
+    """Fails when the outcome of the other ranks is not asked for: rank 0 then reports two passed tests."""
+    done = pytest_on_two_ranks(tmp_path, hang=False)
+    assert done.returncode == 1
+    assert done.stdout.count("1 failed, 1 passed") == 1
+    assert "on rank 1: " in done.stdout
+    assert "this rank is wrong" in done.stdout
+
+
+def test_rank_that_leaves_a_collective_call_ends_the_job(tmp_path):
+    """Fails when ``_meet`` waits without a limit."""
+    start = time.monotonic()
+    done = pytest_on_two_ranks(tmp_path, hang=True)
+    assert done.returncode != 0
+    assert "the other ranks hang in test_ranked.py::test_one_rank_is_wrong" in done.stderr
+    assert "this rank is wrong" in done.stderr
+    assert time.monotonic() - start < 30
