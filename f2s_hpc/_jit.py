@@ -48,5 +48,8 @@ def kernel(function):
 
 
 def inlined(function):
-    """Compile a small point function that kernels call; inlined by the compiler."""
-    return numba.njit(cache=True, error_model="numpy", fastmath=False, inline="never")(function)
+    """Compile a small point function that kernels call, pasted into its callers.
+
+    A call that passes arrays costs more than the arithmetic: every array is seven arguments and a reference count.
+    """
+    return numba.njit(cache=True, error_model="numpy", fastmath=False, inline="always")(function)

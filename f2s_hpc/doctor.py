@@ -136,7 +136,8 @@ def _describe(report: _Report) -> bool:
         report.attempt(package, lambda package=package: importlib.import_module(package).__version__, SETUP_AGAIN)
     mpi_ready = report.attempt("MPI", _mpi, f"{SETUP_AGAIN} (Debian: python3-mpi4py, openmpi-bin)")
     report.attempt("PETSc", _petsc, f"{SETUP_AGAIN} (Debian: python3-petsc4py, numpy below 2), or set PETSC_DIR")
-    hdf5_ready = report.attempt("HDF5", _hdf5, f"{SETUP_AGAIN} (Debian: python3-h5py-mpi), and set H5PY_ALWAYS_USE_MPI=1")
+    hdf5_ready = report.attempt("HDF5", _hdf5,
+                                f"{SETUP_AGAIN} (Debian: python3-h5py-mpi), and set H5PY_ALWAYS_USE_MPI=1")
     report.fact("cores", _cores())
     report.fact("memory", _memory())
     report.attempt("cache", _cache_folder, "set F2S_CACHE_DIR to a folder that can be written")

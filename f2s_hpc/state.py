@@ -120,7 +120,7 @@ class State:
     def exchange(self, names: tuple[str, ...]) -> None:
         """Fill all ghosts of the named fields: from the neighbours first, then behind the sides of the box."""
         self.pool.exchange(names)
-        self.boundary.fill(self.views, names)
+        self.boundary.fill(self.pool.memory, self.pool.offsets, names)
 
     def owned(self, name: str) -> np.ndarray:
         """Return the owned part of a field, a view [k, j, i]."""

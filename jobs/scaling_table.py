@@ -47,7 +47,8 @@ def main(arguments: list[str]) -> int:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
-    print(f"{'ranks':>6} {'cells':>12} {'steps':>8} {'wall s':>9} {'Mcell-steps/s':>14} {'efficiency':>11} {'MiB/rank':>9}")
+    print(f"{'ranks':>6} {'cells':>12} {'steps':>8} {'wall s':>9} {'Mcell-steps/s':>14} {'efficiency':>11} "
+          f"{'MiB/rank':>9}")
     for row in rows:
         print(f"{row['ranks']:>6} {row['cells']:>12} {row['steps']:>8} {row['wall_s']:>9.1f} "
               f"{row['active_cell_steps_per_s'] / 1e6:>14.3f} {row['efficiency']:>11.2f} "

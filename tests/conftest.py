@@ -13,6 +13,7 @@ import pathlib
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -31,9 +32,13 @@ _reports = mpi.world().Dup() if mpi.size() > 1 else None
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Make unexpected exceptions outside tests end the whole job."""
+    """Make unexpected exceptions outside tests end the whole job; give each rank its temporary folders."""
     if mpi.size() > 1:
         mpi.install_abort_hook()
+        # Ranks that tidy up one folder at once get into each other's way.
+        root = pathlib.Path(tempfile.gettempdir()) / f"f2s-pytest-{os.getuid()}-rank-{mpi.rank()}"
+        root.mkdir(mode=0o700, exist_ok=True)
+        os.environ["PYTEST_DEBUG_TEMPROOT"] = str(root)
 
 
 @pytest.hookimpl(trylast=True)

@@ -39,9 +39,8 @@ def test_doctor_under_mpirun_uses_the_ranks_there(tmp_path):
 
 def test_doctor_names_a_missing_package_and_the_mend(tmp_path):
     (tmp_path / "meshio.py").write_text("raise ImportError('no meshio here')\n")
-    stream = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
-              "from f2s_hpc.doctor import main; sys.exit(main([]))"]
-    done = launch(stream)
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from f2s_hpc import doctor; sys.exit(doctor.main([]))"
+    done = launch([sys.executable, "-c", code])
     assert done.returncode == 1
     assert "meshio: ImportError: no meshio here; run scripts/setup" in done.stdout
     assert "all good" not in done.stdout

@@ -31,11 +31,15 @@ def write_command(path: pathlib.Path, body: str) -> None:
     path.chmod(0o755)
 
 
+def plain_environment() -> dict[str, str]:
+    """What the tests were started with, without what would lead the scripts elsewhere."""
+    return {name: value for name, value in launch_environment(os.environ).items()
+            if not name.startswith(("SLURM_", "F2S_", "PYTEST_"))}
+
+
 def bash(command: list[str], cwd: pathlib.Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    environment = {name: value for name, value in launch_environment(os.environ).items()
-                   if not name.startswith(("SLURM_", "F2S_", "PYTEST_"))} | variables
-    return subprocess.run(["bash", *command], cwd=cwd, env=environment, stdin=subprocess.DEVNULL, timeout=120,
-                          capture_output=True, text=True, check=False)
+    return subprocess.run(["bash", *command], cwd=cwd, env=plain_environment() | variables, stdin=subprocess.DEVNULL,
+                          timeout=120, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture
@@ -119,7 +123,7 @@ def test_job_passes_the_signal_to_the_ranks(project):
         time.sleep(60)
         """))
     write_command(project / ".venv/bin/f2s", f"exec {sys.executable} ranks.py")
-    job = subprocess.Popen(["bash", "jobs/section4.sh"], cwd=project, env=launch_environment(os.environ),
+    job = subprocess.Popen(["bash", "jobs/section4.sh"], cwd=project, env=plain_environment(),
                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     deadline = time.monotonic() + 60
     while len(list(project.glob("ready-*"))) < 2 and time.monotonic() < deadline and job.poll() is None:
@@ -260,7 +264,8 @@ def pytest_on_two_ranks(folder: pathlib.Path, hang: bool) -> subprocess.Complete
     shutil.copy(ROOT / "pyproject.toml", folder)
     (folder / "test_ranked.py").write_text(textwrap.dedent(RANKED_TEST).format(hang=hang))
     command = [sys.executable, "-m", "pytest", "--color=no", "-p", "no:cacheprovider", "test_ranked.py"]
-    return launch(command, ranks=2, cwd=folder, timeout=60, environment={"F2S_TEST_PATIENCE_S": "2"})
+    inner = {"F2S_TEST_PATIENCE_S": "2", "F2S_TEST_TALLY": "", "F2S_TEST_SELECTION": ""}
+    return launch(command, ranks=2, cwd=folder, timeout=60, environment=inner)
 
 
 def test_failure_on_another_rank_fails_the_test_once(tmp_path):

@@ -52,15 +52,16 @@ def load_scene(name_or_path: str | os.PathLike, overrides: Sequence[str] = ()) -
     return _validated(raw, source, keys)
 
 
-def parse_scene(text: str, source: str) -> Scene:
+def parse_scene(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene written in ``text`` (TOML, as ``dump_scene`` writes it); ``source`` names it in errors.
 
-    Raises InputError like ``load_scene``. CSV files are not looked for: the text may be read back on
+    ``overrides`` as in ``load_scene``. Raises InputError like ``load_scene``. CSV files are not looked for: the text may be read back on
     another machine or after they were moved.
     """
     raw = _parse_toml(text, source)
-    _add_library_entry(raw, source, ())
-    return _validated(raw, source, ())
+    keys = [_override(raw, override) for override in overrides]
+    _add_library_entry(raw, source, keys)
+    return _validated(raw, source, keys)
 
 
 def _validated(raw: dict, source: str, keys: Sequence[str]) -> Scene:

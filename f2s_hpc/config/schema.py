@@ -181,11 +181,15 @@ class Cycles(Section):
 class Numerics(Section):
     """The scheme's own numbers; the defaults are the measured choice."""
 
-    courant: Number = Field(default=0.5, gt=0, lt=1, description="time step over its stability limit")
+    courant: Number = Field(default=0.5, gt=0, lt=1, description="time step over the sound crossing time of a cell")
+    remap_courant: Number = Field(default=0.25, gt=0, le=0.45,
+                                  description="largest share of a cell that material crosses in a step")
     strain_per_step: Number = Field(default=0.1, gt=0, le=1, description="largest strain increment in a step")
     shock_viscosity_linear: Number = Field(default=0.06, ge=0, le=10, description="linear shock viscosity")
     shock_viscosity_quadratic: Number = Field(default=1.2, ge=0, le=10, description="quadratic shock viscosity")
-    hourglass: Number = Field(default=0.005, ge=0, le=1, description="hourglass control strength")
+    viscous_heating: Switch = Field(default=True, description="work of the shock viscosity becomes heat")
+    hourglass: Number = Field(default=0.1, ge=0, le=1,
+                              description="share of an hourglass mode removed per sound crossing of a cell")
     exchange_strength: Number = Field(default=0.03, ge=0, le=0.5, description="momentum exchange of light nodes")
     exchange_mass_limit: Number = Field(default=0.3, ge=0, le=1,
                                         description="nodes lighter than this share of a full one exchange momentum")
@@ -195,6 +199,7 @@ class Numerics(Section):
                                      description="speed cap of light nodes over the largest particle speed")
     conduction: Switch = Field(default=True, description="heat conduction")
     remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
+    largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
     dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
 
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.fields import BY_NAME, CELL, NODE
 from f2s_hpc.grid.box import GHOST, SIDES, Part
 from f2s_hpc.kernels.sides import COPY, MIRROR, VOID, block_inflow, fill_side
 
@@ -36,6 +36,7 @@ class Boundary:
         planes = part.node_shape[::-1]
         self.weights = tuple(np.ones(n) for n in planes)
         self.free_motion = np.ones((3, 3, max(planes)))
+        self._groups: dict[tuple, list[tuple]] = {}
         for side in self.touched:
             axis, kind = SIDES.index(side) // 2, self.kinds[side]
             wall = self.wall_plane(side)
@@ -51,17 +52,33 @@ class Boundary:
         axis = SIDES.index(side) // 2
         return GHOST + (self.part.count[axis] if side.endswith("high") else 0)
 
-    def fill(self, views: dict[str, np.ndarray], names: Sequence[str]) -> None:
-        """Fill the ghosts of the named fields behind every touched side, x first, then y, then z."""
-        for side in self.touched:
-            axis, high = SIDES.index(side) // 2, side.endswith("high")
-            wall = self.wall_plane(side)
-            for name in names:
-                field = BY_NAME[name]
-                on_nodes = field.location != CELL
+    def fill(self, memory: np.ndarray, offsets: dict[str, int], names: tuple[str, ...]) -> None:
+        """Fill the ghosts of the named fields behind every touched side, x first, then y, then z.
+
+        ``offsets``: where each field starts in ``memory``.
+        """
+        for location, starts, signs in self._grouped(offsets, names):
+            on_nodes = location != CELL
+            shape = self.part.node_shape if on_nodes else self.part.cell_shape
+            for side in self.touched:
+                axis, high = SIDES.index(side) // 2, side.endswith("high")
+                wall = self.wall_plane(side)
                 rule = (_NODE_RULE if on_nodes else _CELL_RULE)[self.kinds[side]]
                 edge = wall if on_nodes or not high else wall - 1
-                fill_side(views[name], axis, high, edge, GHOST, on_nodes, rule, float(field.mirror_sign[axis]))
+                fill_side(memory, starts, shape, axis, high, edge, GHOST, on_nodes, rule, signs[axis])
+
+    def _grouped(self, offsets: dict[str, int], names: tuple[str, ...]) -> list[tuple]:
+        """Return, per location, the offsets of the fields of ``names`` there, and their mirror signs per axis."""
+        key = (id(offsets), names)
+        if key not in self._groups:
+            groups = []
+            for location in (CELL, NODE):
+                there = [n for n in names if BY_NAME[n].location == location]
+                if there:
+                    signs = np.array([BY_NAME[n].mirror_sign for n in there], dtype=float).T.copy()
+                    groups.append((location, np.array([offsets[n] for n in there], dtype=np.int64), signs))
+            self._groups[key] = groups
+        return self._groups[key]
 
     def hold(self, velocity: Sequence[np.ndarray]) -> None:
         """Set to zero the velocity components that the touched walls hold."""

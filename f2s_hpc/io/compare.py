@@ -23,6 +23,7 @@ from f2s_hpc.io.runs import list_frames, open_checkpoint_serial, open_frame, rea
 
 NOT_A_RESULT = re.compile(r"wall_s|.*_per_s|ranks|.*memory.*|eta.*|active_.*")
 NOT_A_RESULT_ATTRIBUTE = re.compile(NOT_A_RESULT.pattern + r"|.*(wall|rank|host|unix|elapsed|resum|version|created).*")
+INTEGER = re.compile(r"[+-]?[0-9]+")
 VALUES_AT_ONCE = 1 << 20
 
 
@@ -108,7 +109,7 @@ def _compare_numbers(place: str, cycle: int | None, name: str, a: object, b: obj
 
 
 def _numbers(value: object, path: str = "") -> Iterator[tuple[str, object]]:
-    """Yield (dotted key, number) of every number in nested attributes that is a result."""
+    """Yield (dotted key, number) of every result in nested attributes; integers may be written as text."""
     if isinstance(value, dict):
         for key, entry in value.items():
             if not NOT_A_RESULT_ATTRIBUTE.fullmatch(str(key)):
@@ -118,6 +119,8 @@ def _numbers(value: object, path: str = "") -> Iterator[tuple[str, object]]:
             yield from _numbers(entry, f"{path}[{number}]")
     elif isinstance(value, (int, float)):
         yield path, value
+    elif isinstance(value, str) and INTEGER.fullmatch(value):
+        yield path, int(value)
 
 
 def _compare_frames(result: Comparison) -> None:

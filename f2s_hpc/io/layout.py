@@ -38,6 +38,7 @@ PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
 CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
 FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
 LARGEST_CHUNK = 64
+SPARE_BYTES = 200_000
 _UNCLOSED: list[h5py.File] = []
 
 Shape = tuple[int, int, int]
@@ -168,14 +169,19 @@ def brick(blocks: Sequence[Block]) -> list[Shape]:
     return [tuple(int(max(1, min(n, LARGEST_CHUNK))) for n in shape) for shape in largest]
 
 
+def as_type(data: np.ndarray, dtype: np.dtype | str) -> np.ndarray:
+    """Return ``data`` contiguous and in the file's type; what float32 cannot hold becomes infinite."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.ascontiguousarray(data, dtype=dtype)
+
+
 def write_collective(dataset: h5py.Dataset, block: Block) -> None:
     """Write one block per rank in one collective call; a rank with an empty block takes part too.
 
     The cast to the file's type happens in memory first: HDF5 refuses to convert within a filtered
     collective write.
     """
-    with np.errstate(over="ignore"):
-        data = np.ascontiguousarray(block.data, dtype=dataset.dtype)
+    data = as_type(block.data, dataset.dtype)
     file_space = dataset.id.get_space()
     memory_space = h5py.h5s.create_simple(data.shape if data.size else (1, 1, 1))
     if data.size:
@@ -212,7 +218,8 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
     ``kind`` on all ranks and removes the file.
     """
     context = f"cannot write {path.name.removeprefix('.').removesuffix(PARTIAL)} in {path.parent}"
-    attempt_on_root(lambda: _check_space(path.parent, blocks, np.dtype(dtype).itemsize), context, kind)
+    size = np.dtype(dtype).itemsize * sum(int(np.prod(block.global_shape, dtype=np.int64)) for block in blocks)
+    attempt_on_root(lambda: _check_space(path.parent, size), context, kind)
     file = attempt_together(lambda: open_shared(path, "w"), context, kind)
     chunks = brick(blocks) if compress else [None] * len(blocks)
     filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compress else {}
@@ -228,6 +235,8 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
         datasets = attempt_together(structure, context, kind)
         for dataset, block in zip(datasets, blocks, strict=True):
             attempt_together(lambda d=dataset, b=block: write_collective(d, b), context, kind)
+        # Open MPI may report success on a full disk, and the flush would then hang.
+        attempt_on_root(lambda: _check_space(path.parent, 0), context, kind)
         attempt_together(file.flush, context, kind)
         attempt_together(file.close, context, kind)
     except F2SError:
@@ -235,11 +244,10 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
         raise
 
 
-def _check_space(folder: pathlib.Path, blocks: Sequence[Block], itemsize: int) -> None:
-    needed = itemsize * sum(int(np.prod(block.global_shape, dtype=np.int64)) for block in blocks)
+def _check_space(folder: pathlib.Path, size: int) -> None:
     free = shutil.disk_usage(folder).free
-    if free < needed:
-        raise OSError(f"it needs {-(-needed // 10**6)} MB, {free // 10**6} MB are free")
+    if free < size + SPARE_BYTES:
+        raise OSError(f"it needs {size / 1e6 + SPARE_BYTES / 1e6:.1f} MB, {free / 1e6:.1f} MB are free")
 
 
 def _abandon(file: h5py.File, path: pathlib.Path) -> None:

@@ -24,13 +24,14 @@ def _grid(frames: str, meta: FrameMeta) -> list[str]:
     """Return the lines of one frame's grid."""
     cells = meta.cells[::-1]
     points = _numbers([n + 1 for n in cells])
+    head = '<DataItem Format="XML" NumberType="Float" Precision="8" Dimensions="3">'
     lines = [
         f'      <Grid Name="frame {meta.number}" GridType="Uniform">',
         f'        <Time Value="{meta.time_s!r}"/>',
         f'        <Topology TopologyType="3DCoRectMesh" Dimensions="{points}"/>',
         '        <Geometry GeometryType="ORIGIN_DXDYDZ">',
-        f'          <DataItem Format="XML" Dimensions="3">{_numbers(meta.origin[::-1])}</DataItem>',
-        f'          <DataItem Format="XML" Dimensions="3">{_numbers(meta.spacing[::-1])}</DataItem>',
+        f"          {head}{_numbers(meta.origin[::-1])}</DataItem>",
+        f"          {head}{_numbers(meta.spacing[::-1])}</DataItem>",
         "        </Geometry>",
     ]
     for name, place in meta.locations.items():
@@ -39,8 +40,8 @@ def _grid(frames: str, meta: FrameMeta) -> list[str]:
         source = escape(f"{frames}/{layout.frame_name(meta.number)}:/{layout.VTK_ROOT}/{place}/{name}")
         lines += [
             f'        <Attribute Name={quoteattr(name)} AttributeType="Scalar" Center="{center}">',
-            f'          <DataItem Format="HDF" NumberType="Float" Precision="4" Dimensions="{dimensions}">'
-            f"{source}</DataItem>",
+            (f'          <DataItem Format="HDF" NumberType="Float" Precision="4" Dimensions="{dimensions}">'
+             f"{source}</DataItem>"),
             "        </Attribute>",
         ]
     return [*lines, "      </Grid>"]

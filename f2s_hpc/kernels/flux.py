@@ -4,35 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import inlined, kernel
 from f2s_hpc.kernels.plane import interface_normal, plane_distance, slab_volume
 
 FULL = 1.0 - 1e-12
 """A cell at least this full is treated as full: no plane, and tension if the closure allows."""
 
 
-@kernel
+@inlined
 def limited_slope(behind, ahead):
     """Return van Leer's (1974) limited difference of two neighbouring differences."""
     product = behind * ahead
     return 2.0 * product / (behind + ahead) if product > 0.0 else 0.0
 
 
-@kernel
-def pre_volume(gx, gy, gz, n, cell_axis, done, nx1, nxy1):
-    """Return the volume (in cells) of cell ``n`` before sweep ``cell_axis``, ``done`` marking finished axes.
+@inlined
+def axes_left(done):
+    """Return, as floats 1 or 0, which of the axes x, y, z are not swept yet; ``done`` holds the bits of those that are.
 
-    A cell starts the remap with its deformed volume and ends with exactly one; each sweep takes out
-    its own axis. ``n`` indexes node-shaped arrays; ``nx1``, ``nxy1`` are their row and plane strides.
+    A cell starts the remap with its deformed volume, 1 + the sum of its three flux differences, and ends with exactly
+    one; each sweep takes out its own axis. Weights instead of branches keep the loops straight, and arrays
+    out of the arguments of point functions, where each would cost a reference count.
     """
-    volume = 1.0
-    if not done & 1:
-        volume += gx[n + 1] - gx[n]
-    if not done & 2:
-        volume += gy[n + nx1] - gy[n]
-    if not done & 4:
-        volume += gz[n + nxy1] - gz[n]
-    return volume
+    return 1.0 - (done & 1), 1.0 - ((done >> 1) & 1), 1.0 - ((done >> 2) & 1)
 
 
 @kernel
@@ -49,6 +43,8 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
     step = face_strides[axis]
     back = cell_strides[axis]
     g = gx if axis == 0 else (gy if axis == 1 else gz)
+    row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
+    ax, ay, az = axes_left(done)
     sx, sy, sz = cell_strides[axis], cell_strides[(axis + 1) % 3], cell_strides[(axis + 2) % 3]
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
@@ -76,7 +72,7 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
             low, high = g[n], g[n + step]
             if low >= 0.0 and high <= 0.0:
                 continue
-            volume = pre_volume(gx, gy, gz, n, axis, done, nx + 1, (nx + 1) * (ny + 1))
+            volume = 1.0 + ax * (gx[n + 1] - gx[n]) + ay * (gy[n + row1] - gy[n]) + az * (gz[n + plane1] - gz[n])
             a, b, c = interface_normal(fraction, cell + i, sx, sy, sz)
             distance = plane_distance(abs(a), abs(b), abs(c), f)
             if low < 0.0:
@@ -98,6 +94,7 @@ def mass_fluxes(runs, count, window, shape, axis, done, second, gx, gy, gz, mass
     back = 1 if axis == 0 else (nx if axis == 1 else nx * ny)
     step = 1 if axis == 0 else (nx + 1 if axis == 1 else (nx + 1) * (ny + 1))
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
+    ax, ay, az = axes_left(done)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -113,15 +110,18 @@ def mass_fluxes(runs, count, window, shape, axis, done, second, gx, gy, gz, mass
                 continue
             side = 1 if phi > 0.0 else 0
             d = c - side * back
-            volume = pre_volume(gx, gy, gz, n - side * step, axis, done, row1, plane1)
+            m = n - side * step
+            volume = 1.0 + ax * (gx[m + 1] - gx[m]) + ay * (gy[m + row1] - gy[m]) + az * (gz[m + plane1] - gz[m])
             material = fraction[d] * volume
             density = mass[d] / material
             if second == 1 and fraction[d] >= FULL:
                 up, down = (d - back, d + back) if side else (d + back, d - back)
-                nu, nd = (n - 2 * step, n) if side else (n + step, n - step)
+                a, b = (n - 2 * step, n) if side else (n + step, n - step)
                 if fraction[up] >= FULL and fraction[down] >= FULL:
-                    rho_up = mass[up] / pre_volume(gx, gy, gz, nu, axis, done, row1, plane1)
-                    rho_down = mass[down] / pre_volume(gx, gy, gz, nd, axis, done, row1, plane1)
+                    rho_up = mass[up] / (
+                        1.0 + ax * (gx[a + 1] - gx[a]) + ay * (gy[a + row1] - gy[a]) + az * (gz[a + plane1] - gz[a]))
+                    rho_down = mass[down] / (
+                        1.0 + ax * (gx[b + 1] - gx[b]) + ay * (gy[b + row1] - gy[b]) + az * (gz[b + plane1] - gz[b]))
                     slope = limited_slope(density - rho_up, rho_down - density)
                     density += 0.5 * (1.0 - abs(phi) / volume) * slope
             moved = phi * density

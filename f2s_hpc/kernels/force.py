@@ -15,90 +15,95 @@ from f2s_hpc.materials.pressure import pressure, stiffness
 
 
 @kernel
-def mean_divergence(u, v, w, a, b, c, d, i):
-    """Return 4 dx times the velocity divergence of cell ``i``.
+def row_divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, out):
+    """Velocity divergence (1/s) of a run of cells: ``scale`` = 1 / (4 dx).
 
-    ``a``, ``b``, ``c``, ``d``: flat starts of the four node rows (j, k), (j+1, k), (j, k+1),
-    (j+1, k+1). Differences of equal numbers are exactly zero, so a rigid body feels nothing.
+    ``p``, ``q``, ``r``: x, y, z velocity on the four node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1), each one longer
+    than the run. Differences of equal numbers are exactly zero, so a rigid body feels nothing.
     """
-    du = (u[a + i + 1] - u[a + i]) + (u[b + i + 1] - u[b + i]) + (u[c + i + 1] - u[c + i]) + (u[d + i + 1] - u[d + i])
-    dv = (v[b + i] - v[a + i]) + (v[b + i + 1] - v[a + i + 1]) + (v[d + i] - v[c + i]) + (v[d + i + 1] - v[c + i + 1])
-    dw = (w[c + i] - w[a + i]) + (w[c + i + 1] - w[a + i + 1]) + (w[d + i] - w[b + i]) + (w[d + i + 1] - w[b + i + 1])
-    return du + dv + dw
+    for i in range(out.size):
+        du = (pa[i + 1] - pa[i]) + (pb[i + 1] - pb[i]) + (pc[i + 1] - pc[i]) + (pd[i + 1] - pd[i])
+        dv = (qb[i] - qa[i]) + (qb[i + 1] - qa[i + 1]) + (qd[i] - qc[i]) + (qd[i + 1] - qc[i + 1])
+        dw = (rc[i] - ra[i]) + (rc[i + 1] - ra[i + 1]) + (rd[i] - rb[i]) + (rd[i + 1] - rb[i + 1])
+        out[i] = scale * (du + dv + dw)
 
 
 @kernel
-def _row_stress(mass, fraction, energy, stress, u, v, w, cell, rows, first, last, dx, bulk, eos, viscosity, hourglass,
-                weighted, coefficient, viscous, speed):
-    """Fill the row buffers of one run: weighted stress, hourglass coefficient, viscous power, wave speed."""
-    a, b, c, d = rows
+def _row_pressure(mass, fraction, energy, rate, dx, bulk, eos, viscosity, hourglass, total, coefficient, viscous,
+                  speed):
+    """Pressure plus shock viscosity, hourglass coefficient, viscous power and wave speed of a run of cells."""
     linear, quadratic = viscosity
-    area = 0.25 * dx * dx
-    for i in range(first, last):
-        n = i - first
-        f = fraction[cell + i]
-        x = mass[cell + i]
-        e = energy[cell + i] if energy.size > 1 else 0.0
-        full = 1.0 if f >= 1.0 else 0.0
-        compression = x if f >= 1.0 else 1.0
+    shear = 4.0 / 3.0 * bulk.shear_modulus
+    carried = energy.size > 1
+    for i in range(total.size):
+        x = mass[i]
+        e = energy[i] if carried else 0.0
+        full = 1.0 if fraction[i] >= 1.0 else 0.0
+        compression = x if fraction[i] >= 1.0 else 1.0
         p = full * pressure(eos, compression, e)
         density = bulk.density * compression
-        sound = math.sqrt((stiffness(eos, compression, e) + 4.0 / 3.0 * bulk.shear_modulus) / density)
-        rate = mean_divergence(u, v, w, a, b, c, d, i) / (4.0 * dx)
-        closing = full * min(rate, 0.0)
+        sound = math.sqrt((stiffness(eos, compression, e) + shear) / density)
+        closing = full * min(rate[i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening
-        weighted[0, n] = area * f * (stress[0][cell + i] - p - q)
-        weighted[1, n] = area * f * (stress[1][cell + i] - p - q)
-        weighted[2, n] = area * f * (stress[2][cell + i] - p - q)
-        weighted[3, n] = area * f * stress[3][cell + i]
-        weighted[4, n] = area * f * stress[4][cell + i]
-        weighted[5, n] = area * f * stress[5][cell + i]
-        coefficient[n] = hourglass * bulk.density * x * sound * dx * dx / 64.0
-        viscous[n] = -f * q * closing * dx * dx * dx
+        total[i] = p + q
+        coefficient[i] = hourglass * bulk.density * x * sound * dx * dx / 64.0
+        viscous[i] = -fraction[i] * q * closing * dx * dx * dx
         extra = broadening if closing < 0.0 else 0.0
-        speed[n] = extra + math.sqrt(sound * sound + extra * extra) if x > 0.0 else 0.0
+        fastest = extra + math.sqrt(sound * sound + extra * extra)
+        speed[i] = fastest if x > 0.0 else 0.0
 
 
 @kernel
-def _row_component(p, force, rows, first, last, sx, sy, sz, coefficient, right, power):
+def _weighted(fraction, stress, total, area, out):
+    """Stress times volume fraction and a quarter of the face; ``total`` is taken off where its size is not one."""
+    if total.size == 1:
+        for i in range(out.size):
+            out[i] = area * fraction[i] * stress[i]
+    else:
+        for i in range(out.size):
+            out[i] = area * fraction[i] * (stress[i] - total[i])
+
+
+@kernel
+def _row_component(p00, p10, p01, p11, f00, f10, f01, f11, sx, sy, sz, coefficient, right, power):
     """Add one component's forces of a run of cells to the four node rows around it.
 
-    ``sx``, ``sy``, ``sz``: weighted stress on the x, y, z faces in this component. ``power``
+    ``p``: that component of velocity, ``f``: of force, on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1), one
+    longer than the run. ``sx``, ``sy``, ``sz``: weighted stress on the x, y, z faces in this component. ``power``
     collects the hourglass dissipation (W). The forces on the right-hand nodes wait in ``right``
-    and are added in a second loop, so that both loops vectorise.
+    and are added in loops of their own, so that all loops vectorise.
     """
-    a, b, c, d = rows
-    for i in range(first, last):
-        n = i - first
-        s00 = p[a + i] + p[a + i + 1]
-        d00 = p[a + i + 1] - p[a + i]
-        s10 = p[b + i] + p[b + i + 1]
-        d10 = p[b + i + 1] - p[b + i]
-        s01 = p[c + i] + p[c + i + 1]
-        d01 = p[c + i + 1] - p[c + i]
-        s11 = p[d + i] + p[d + i + 1]
-        d11 = p[d + i + 1] - p[d + i]
+    n = coefficient.size
+    for i in range(n):
+        s00, d00 = p00[i] + p00[i + 1], p00[i + 1] - p00[i]
+        s10, d10 = p10[i] + p10[i + 1], p10[i + 1] - p10[i]
+        s01, d01 = p01[i] + p01[i + 1], p01[i + 1] - p01[i]
+        s11, d11 = p11[i] + p11[i + 1], p11[i + 1] - p11[i]
         h1 = (s00 - s10) + (s11 - s01)
         h2 = (d01 - d00) + (d11 - d10)
         h3 = (d10 - d00) + (d11 - d01)
         h4 = (d00 - d10) + (d11 - d01)
-        k = coefficient[n]
-        power[n] += k * (h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4)
+        k = coefficient[i]
+        power[i] += k * (h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4)
         h1, h2, h3, h4 = k * h1, k * h2, k * h3, k * h4
-        x, y, z = sx[n], sy[n], sz[n]
-        force[a + i] += (x + y + z) - (h1 + h2 + h3 - h4)
-        right[0, n] = (y + z - x) - (h1 - h2 - h3 + h4)
-        force[b + i] += (x - y + z) - (h2 - h1 - h3 + h4)
-        right[1, n] = (z - x - y) - (h3 - h1 - h2 - h4)
-        force[c + i] += (x + y - z) - (h3 - h1 - h2 + h4)
-        right[2, n] = (y - x - z) - (h2 - h1 - h3 - h4)
-        force[d + i] += (x - y - z) - (h1 - h2 - h3 - h4)
-        right[3, n] = -(x + y + z) - (h1 + h2 + h3 + h4)
-    for row in range(4):
-        start = rows[row]
-        for i in range(first, last):
-            force[start + i + 1] += right[row, i - first]
+        x, y, z = sx[i], sy[i], sz[i]
+        f00[i] += (x + y + z) - (h1 + h2 + h3 - h4)
+        f10[i] += (x - y + z) - (h2 - h1 - h3 + h4)
+        f01[i] += (x + y - z) - (h3 - h1 - h2 + h4)
+        f11[i] += (x - y - z) - (h1 - h2 - h3 - h4)
+        right[0, i] = (y + z - x) - (h1 - h2 - h3 + h4)
+        right[1, i] = (z - x - y) - (h3 - h1 - h2 - h4)
+        right[2, i] = (y - x - z) - (h2 - h1 - h3 - h4)
+        right[3, i] = -(x + y + z) - (h1 + h2 + h3 + h4)
+    for i in range(n):
+        f00[i + 1] += right[0, i]
+    for i in range(n):
+        f10[i + 1] += right[1, i]
+    for i in range(n):
+        f01[i + 1] += right[2, i]
+    for i in range(n):
+        f11[i + 1] += right[3, i]
 
 
 @kernel
@@ -126,8 +131,9 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
     width = 0
     for r in range(count):
         width = max(width, runs[r, 3] - runs[r, 2])
-    weighted, right = np.empty((6, width)), np.empty((4, width))
-    coefficient, viscous, power, speed = np.empty(width), np.empty(width), np.empty(width), np.empty(width)
+    weighted, right, rows = np.empty((6, width)), np.empty((4, width)), np.empty((6, width))
+    area, nothing = 0.25 * dx * dx, np.zeros(1)
+    row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     fastest, where = 0.0, 0
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
@@ -136,20 +142,31 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
         first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
         if last <= first:
             continue
-        cell = (k * ny + j) * nx
-        a = (k * (ny + 1) + j) * (nx + 1)
-        rows = (a, a + nx + 1, a + (ny + 1) * (nx + 1), a + (ny + 2) * (nx + 1))
-        _row_stress(mass, fraction, energy, stress, u, v, w, cell, rows, first, last, dx, bulk, eos, viscosity,
-                    hourglass, weighted, coefficient, viscous, speed)
-        power[:last - first] = 0.0
-        _row_component(u, fx, rows, first, last, weighted[0], weighted[3], weighted[5], coefficient, right, power)
-        _row_component(v, fy, rows, first, last, weighted[3], weighted[1], weighted[4], coefficient, right, power)
-        _row_component(w, fz, rows, first, last, weighted[5], weighted[4], weighted[2], coefficient, right, power)
+        n = last - first
+        cell = (k * ny + j) * nx + first
+        a = k * plane1 + j * row1 + first
+        b, c, d, m = a + row1, a + plane1, a + plane1 + row1, n + 1
+        rate, total, coefficient, viscous, power, speed = (rows[0, :n], rows[1, :n], rows[2, :n], rows[3, :n],
+                                                           rows[4, :n], rows[5, :n])
+        f = fraction[cell:cell + n]
+        row_divergence(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m],
+                       w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, rate)
+        e = energy[cell:cell + n] if energy.size > 1 else energy
+        _row_pressure(mass[cell:cell + n], f, e, rate, dx, bulk, eos, viscosity, hourglass, total, coefficient,
+                      viscous, speed)
+        for s in range(6):
+            _weighted(f, stress[s][cell:cell + n], total if s < 3 else nothing, area, weighted[s, :n])
+        power[:] = 0.0
+        for axis in range(3):
+            p, g = (u, fx) if axis == 0 else ((v, fy) if axis == 1 else (w, fz))
+            x, y, z = (0, 3, 5) if axis == 0 else ((3, 1, 4) if axis == 1 else (5, 4, 2))
+            _row_component(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], g[a:a + m], g[b:b + m], g[c:c + m],
+                           g[d:d + m], weighted[x, :n], weighted[y, :n], weighted[z, :n], coefficient, right, power)
         if k < owned[0] or k >= owned[1] or j < owned[2] or j >= owned[3]:
             continue
-        for i in range(max(first, owned[4]), min(last, owned[5])):
-            sums[0] += np.int64(viscous[i - first] / power_quantum)
-            sums[1] += np.int64(power[i - first] / power_quantum)
-            if not speed[i - first] <= fastest:
-                fastest, where = speed[i - first], cell + i
+        for i in range(max(owned[4] - first, 0), min(owned[5] - first, n)):
+            sums[0] += np.int64(viscous[i] / power_quantum)
+            sums[1] += np.int64(power[i] / power_quantum)
+            if not speed[i] <= fastest:
+                fastest, where = speed[i], cell + i
     return fastest, where

@@ -8,6 +8,9 @@ import numpy as np
 
 from f2s_hpc._jit import kernel
 
+SMALLEST_VELOCITY = 1e-20
+"""Velocities below this (m/s) are rest."""
+
 
 @kernel
 def clear_nodes(runs, count, shape, fx, fy, fz):
@@ -77,6 +80,10 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
             u1 = (moves * u0 + kick * fx[n]) * hold_u * free[0, 0, i]
             v1 = (moves * v0 + kick * fy[n]) * hold_v * free[0, 1, i]
             w1 = (moves * w0 + kick * fz[n]) * hold_w * free[0, 2, i]
+            # far ahead of a wave numbers fall without end; subnormal ones would be a hundred times slower
+            u1 = u1 if abs(u1) > SMALLEST_VELOCITY else 0.0
+            v1 = v1 if abs(v1) > SMALLEST_VELOCITY else 0.0
+            w1 = w1 if abs(w1) > SMALLEST_VELOCITY else 0.0
             u[n], v[n], w[n] = u1, v1, w1
             share = plane * weights[0][i]
             before = 0.5 * m * share * (u0 * u0 + v0 * v0 + w0 * w0)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from f2s_hpc._jit import kernel
-from f2s_hpc.kernels.flux import limited_slope, pre_volume
+from f2s_hpc.kernels.flux import axes_left
 
 LEAST_MASS = 1e-13
 """Below this mass (in full cells or nodes) a quotient of masses is round-off: values are left as they are."""
@@ -58,25 +58,62 @@ def dual_fluxes(runs, count, window, shape, axis, mass_flux, dual):
 
 
 @kernel
-def _carried(second, moved, up, donor, down, mass_up, mass_donor, mass_down):
-    """Value carried through a face: the donor's, plus a limited slope where both neighbours hold material."""
-    share = min(abs(moved) / max(mass_donor, 1e-300), 1.0)
-    slope = limited_slope(donor - up, down - donor)
-    solid = second == 1 and mass_up > 0.0 and mass_down > 0.0
-    return donor + (0.5 * (1.0 - share) * slope if solid else 0.0)
+def _face_weights(second, moved, m0, m1, m2, m3, weight):
+    """Weight of the limited slope at each face of a row: (1 - share of the donor that moves) / 2.
+
+    ``m0``..``m3``: masses two and one below, one and two above the faces. Zero in first order and where the donor or a
+    neighbour is void: void has no slope.
+    """
+    for i in range(moved.size):
+        ahead = moved[i] > 0.0
+        a, b, c, d = m0[i], m1[i], m2[i], m3[i]
+        up, donor, down = a if ahead else d, b if ahead else c, c if ahead else b
+        share = min(abs(moved[i]) / max(donor, 1e-300), 1.0)
+        solid = second * (1.0 if min(up, down) > 0.0 else 0.0)
+        weight[i] = 0.5 * (1.0 - share) * solid
+
+
+@kernel
+def _face_values(moved, weight, q0, q1, q2, q3, value):
+    """Value that each face of a row carries: the donor's, plus van Leer's (1974) limited slope towards the face."""
+    for i in range(moved.size):
+        ahead = moved[i] > 0.0
+        a, b, c, d = q0[i], q1[i], q2[i], q3[i]
+        up, donor, down = a if ahead else d, b if ahead else c, c if ahead else b
+        behind, before = donor - up, down - donor
+        product = behind * before
+        slope = 2.0 * product / (behind + before) if product > 0.0 else 0.0
+        value[i] = donor + weight[i] * slope
+
+
+@kernel
+def _blend_row(field, low_moved, high_moved, low_value, high_value, inverse):
+    """Update a row of a field in place, in differences."""
+    for i in range(field.size):
+        old = field[i]
+        field[i] = old + (low_moved[i] * (low_value[i] - old) - high_moved[i] * (high_value[i] - old)) * inverse[i]
+
+
+@kernel
+def _inverse_masses(masses, low_moved, high_moved, inverse):
+    """One over the mass after the sweep, 0 where that is round-off."""
+    for i in range(masses.size):
+        new = masses[i] + (low_moved[i] - high_moved[i])
+        inverse[i] = 1.0 / new if new > LEAST_MASS else 0.0
 
 
 @kernel
 def sweep_along_rows(runs, count, window, strides, moved_strides, second, memory, fields, masses, moved):
     """Sweep along x the fields that start at ``fields`` (offsets into ``memory``).
 
-    ``strides``, ``moved_strides``: (plane, row) strides of the fields and of the flux array;
-    ``masses``: mass before the sweep, ``moved``: mass through the low side of each cell or node.
+    ``strides``, ``moved_strides``: (plane, row) strides of the fields and of the flux array; ``second``: 1.0 for
+    limited slopes, 0.0 for first order; ``masses``: mass before the sweep, ``moved``: mass through the low side of each
+    cell or node.
     """
     width = 0
     for r in range(count):
-        width = max(width, runs[r, 3])
-    value, inverse = np.empty(width + 1), np.empty(width)
+        width = max(width, runs[r, 3] - runs[r, 2] + 1)
+    all_values, all_weights, all_inverses = np.empty(width), np.empty(width), np.empty(width)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -84,22 +121,18 @@ def sweep_along_rows(runs, count, window, strides, moved_strides, second, memory
         first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
         if last <= first:
             continue
-        side = k * moved_strides[0] + j * moved_strides[1]
-        here = k * strides[0] + j * strides[1]
-        for i in range(first, last):
-            new = masses[here + i] + (moved[side + i] - moved[side + i + 1])
-            inverse[i] = 1.0 / new if new > LEAST_MASS else 0.0
+        n = last - first
+        side = k * moved_strides[0] + j * moved_strides[1] + first
+        here = k * strides[0] + j * strides[1] + first
+        flow = moved[side:side + n + 1]
+        value, weight, inverse = all_values[:n + 1], all_weights[:n + 1], all_inverses[:n]
+        _inverse_masses(masses[here:here + n], flow[:n], flow[1:], inverse)
+        _face_weights(second, flow, masses[here - 2:here + n - 1], masses[here - 1:here + n], masses[here:here + n + 1],
+                      masses[here + 1:here + n + 2], weight)
         for f in range(fields.size):
-            base = fields[f] + here
-            for i in range(first, last + 1):
-                m = moved[side + i]
-                d, up, down = (i - 1, i - 2, i) if m > 0.0 else (i, i + 1, i - 1)
-                value[i] = _carried(second, m, memory[base + up], memory[base + d], memory[base + down],
-                                    masses[here + up], masses[here + d], masses[here + down])
-            for i in range(first, last):
-                old = memory[base + i]
-                memory[base + i] = old + (moved[side + i] * (value[i] - old)
-                                          - moved[side + i + 1] * (value[i + 1] - old)) * inverse[i]
+            q = memory[fields[f] + here - 2:fields[f] + here + n + 2]
+            _face_values(flow, weight, q[:n + 1], q[1:n + 2], q[2:n + 3], q[3:], value)
+            _blend_row(q[2:n + 2], flow[:n], flow[1:], value[:n], value[1:], inverse)
 
 
 @kernel
@@ -112,9 +145,10 @@ def sweep_across_rows(columns, count, window, strides, moved_strides, second, me
     """
     width = 0
     for r in range(count):
-        width = max(width, columns[r, 4])
-    low_value, previous = np.empty((fields.size, width)), np.empty((fields.size, width))
-    high_value, inverse = np.empty(width), np.empty(width)
+        width = max(width, columns[r, 4] - columns[r, 3])
+    values = np.empty((2, fields.size, width))
+    previous = np.empty((2, fields.size, width))
+    all_weights, all_inverses = np.empty(width), np.empty(width)
     row, moved_row = strides[1], moved_strides[1]
     for r in range(count):
         fixed = columns[r, 0]
@@ -124,34 +158,26 @@ def sweep_across_rows(columns, count, window, strides, moved_strides, second, me
         i0, i1 = max(columns[r, 3], window[4]), min(columns[r, 4], window[5])
         if t1 <= t0 or i1 <= i0:
             continue
+        n = i1 - i0
+        weight, inverse = all_weights[:n], all_inverses[:n]
         for t in range(t0 - 1, t1):
-            here = fixed * strides[0] + t * row
-            low = fixed * moved_strides[0] + t * moved_row
-            high = low + moved_row
-            for i in range(i0, i1):
-                new = masses[here + i] + (moved[low + i] - moved[high + i])
-                inverse[i] = 1.0 / new if new > LEAST_MASS and t >= t0 else 0.0
+            here = fixed * strides[0] + t * row + i0
+            side = fixed * moved_strides[0] + t * moved_row + i0
+            low, high = moved[side:side + n], moved[side + moved_row:side + moved_row + n]
+            _face_weights(second, high, masses[here - row:here - row + n], masses[here:here + n],
+                          masses[here + row:here + row + n], masses[here + 2 * row:here + 2 * row + n], weight)
+            _inverse_masses(masses[here:here + n], low, high, inverse)
+            new, old = t % 2, (t + 1) % 2
             for f in range(fields.size):
-                base = fields[f] + here
-                if t < t0:
-                    for i in range(i0, i1):
-                        previous[f, i] = memory[base - row + i]
-                        low_value[f, i] = 0.0
-                for i in range(i0, i1):
-                    m = moved[high + i]
-                    ahead = m > 0.0
-                    up = previous[f, i] if ahead else memory[base + 2 * row + i]
-                    mass_up = masses[here - row + i] if ahead else masses[here + 2 * row + i]
-                    a, b = memory[base + i], memory[base + row + i]
-                    mass_a, mass_b = masses[here + i], masses[here + row + i]
-                    high_value[i] = _carried(second, m, up, a if ahead else b, b if ahead else a, mass_up,
-                                             mass_a if ahead else mass_b, mass_b if ahead else mass_a)
-                for i in range(i0, i1):
-                    old = memory[base + i]
-                    previous[f, i] = old
-                    memory[base + i] = old + (moved[low + i] * (low_value[f, i] - old)
-                                              - moved[high + i] * (high_value[i] - old)) * inverse[i]
-                    low_value[f, i] = high_value[i]
+                a = fields[f] + here
+                field = memory[a:a + n]
+                # below the first row nothing was updated: its old values still stand
+                below = previous[old, f, :n] if t >= t0 else memory[a - row:a - row + n]
+                _face_values(high, weight, below, field, memory[a + row:a + row + n],
+                             memory[a + 2 * row:a + 2 * row + n], values[new, f, :n])
+                previous[new, f, :n] = field
+                if t >= t0:
+                    _blend_row(field, low, high, values[old, f, :n], values[new, f, :n], inverse)
 
 
 @kernel
@@ -163,7 +189,8 @@ def sweep_mass(runs, count, window, shape, axis, done, gx, gy, gz, flux, mass_fl
     ny, nx = shape
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     step = 1 if axis == 0 else (row1 if axis == 1 else plane1)
-    bit = 1 << axis
+    ax, ay, az = axes_left(done)
+    bx, by, bz = axes_left(done | (1 << axis))
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -171,8 +198,9 @@ def sweep_mass(runs, count, window, shape, axis, done, gx, gy, gz, flux, mass_fl
         face, cell = (k * (ny + 1) + j) * (nx + 1), (k * ny + j) * nx
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             n, c = face + i, cell + i
-            before = pre_volume(gx, gy, gz, n, axis, done, row1, plane1)
-            after = pre_volume(gx, gy, gz, n, axis, done | bit, row1, plane1)
+            dx, dy, dz = gx[n + 1] - gx[n], gy[n + row1] - gy[n], gz[n + plane1] - gz[n]
+            before = 1.0 + ax * dx + ay * dy + az * dz
+            after = 1.0 + bx * dx + by * dy + bz * dz
             material = fraction[c] * before + (flux[n] - flux[n + step])
             fraction[c] = min(max(material / after, 0.0), 1.0)
             mass[c] += mass_flux[n] - mass_flux[n + step]

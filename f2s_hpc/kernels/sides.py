@@ -8,33 +8,29 @@ MIRROR, VOID, COPY = 0, 1, 2
 
 
 @kernel
-def fill_side(array, axis, high, edge, ghosts, on_nodes, rule, sign):
-    """Fill the ghost layers of a 3-D local array behind one side of the box.
+def fill_side(memory, offsets, shape, axis, high, edge, ghosts, on_nodes, rule, signs):
+    """Fill the ghost layers of several fields behind one side of the box.
 
-    ``axis``: 0, 1, 2 for x, y, z; ``edge``: index of the first owned layer (low side) or of the
-    last owned layer (high side); ``on_nodes``: the edge layer is the wall itself. ``rule``: MIRROR reflects with
-    ``sign``, VOID writes zero, COPY repeats the edge layer.
+    ``offsets``: where the fields start in ``memory``; ``shape``: (nz, ny, nx) of their local arrays. ``axis``: 0, 1, 2
+    for x, y, z; ``edge``: index of the last layer inside the box; ``on_nodes``: that layer is the wall itself.
+    ``rule``: MIRROR reflects with ``signs`` (one per field), VOID writes zero, COPY repeats the edge layer.
     """
-    nz, ny, nx = array.shape
+    nz, ny, nx = shape
+    strides = (1, nx, nx * ny)
+    p, q = (strides[1], strides[2]) if axis == 0 else (1, strides[2] if axis == 1 else strides[1])
+    np_, nq = (ny, nz) if axis == 0 else (nx, nz if axis == 1 else ny)
     direction = 1 if high else -1
-    for layer in range(1, ghosts + 1):
-        target = edge + direction * layer
-        source = edge
-        if rule == MIRROR:
-            source = edge - direction * (layer if on_nodes else layer - 1)
-        factor = 0.0 if rule == VOID else (sign if rule == MIRROR else 1.0)
-        if axis == 0:
-            for k in range(nz):
-                for j in range(ny):
-                    array[k, j, target] = factor * array[k, j, source]
-        elif axis == 1:
-            for k in range(nz):
-                for i in range(nx):
-                    array[k, target, i] = factor * array[k, source, i]
-        else:
-            for j in range(ny):
-                for i in range(nx):
-                    array[target, j, i] = factor * array[source, j, i]
+    for f in range(offsets.size):
+        for layer in range(1, ghosts + 1):
+            target = edge + direction * layer
+            source = edge
+            if rule == MIRROR:
+                source = edge - direction * (layer if on_nodes else layer - 1)
+            factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
+            to, of = offsets[f] + target * strides[axis], offsets[f] + source * strides[axis]
+            for b in range(nq):
+                for a in range(np_):
+                    memory[to + b * q + a * p] = factor * memory[of + b * q + a * p]
 
 
 @kernel

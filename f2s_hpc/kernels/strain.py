@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import inlined, kernel
 from f2s_hpc.materials.flow_stress import return_map
 from f2s_hpc.materials.pressure import pressure, stored_energy
 
@@ -34,22 +34,19 @@ def face_fluxes(runs, count, window, shape, dt_over_dx, u, v, w, gx, gy, gz):
 
 
 @kernel
-def _gradient_rows(p, rows, first, last, scale, gx, gy, gz):
-    """Mean gradient of a velocity component over a run of cells, into three row buffers."""
-    a, b, c, d = rows
-    for i in range(first, last):
-        n = i - first
-        p000, p100 = p[a + i], p[a + i + 1]
-        p010, p110 = p[b + i], p[b + i + 1]
-        p001, p101 = p[c + i], p[c + i + 1]
-        p011, p111 = p[d + i], p[d + i + 1]
-        gx[n] = scale * ((p100 - p000) + (p110 - p010) + (p101 - p001) + (p111 - p011))
-        gy[n] = scale * ((p010 - p000) + (p110 - p100) + (p011 - p001) + (p111 - p101))
-        gz[n] = scale * ((p001 - p000) + (p101 - p100) + (p011 - p010) + (p111 - p110))
+def _gradient_rows(p00, p10, p01, p11, scale, gx, gy, gz):
+    """Mean gradient (1/s) of a velocity component over a run of cells; node rows as in :mod:`f2s_hpc.kernels.force`."""
+    for i in range(gx.size):
+        a0, a1, b0, b1 = p00[i], p00[i + 1], p10[i], p10[i + 1]
+        c0, c1, d0, d1 = p01[i], p01[i + 1], p11[i], p11[i + 1]
+        gx[i] = scale * ((a1 - a0) + (b1 - b0) + (c1 - c0) + (d1 - d0))
+        gy[i] = scale * ((b0 - a0) + (b1 - a1) + (d0 - c0) + (d1 - c1))
+        gz[i] = scale * ((c0 - a0) + (c1 - a1) + (d0 - b0) + (d1 - b1))
 
 
 @kernel
-def _trial_stress(stress, cell, first, last, dt, shear_modulus, largest, g, trial, mises, strain):
+def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shear_modulus, largest, g, trial, mises,
+                  strain):
     """Rotate the old stress and add the elastic increment over a run of cells.
 
     The gradient is taken at the middle of the step, L (1 + dt L / 2)^-1 to second order; the rotation
@@ -57,8 +54,7 @@ def _trial_stress(stress, cell, first, last, dt, shear_modulus, largest, g, tria
     see gradients that mean nothing; beyond ``largest`` per step the increment is scaled down.
     ``g``: nine rows of L; ``trial``: six rows; ``mises`` (Pa) and ``strain`` (equivalent increment): rows.
     """
-    for i in range(first, last):
-        n = i - first
+    for n in range(mises.size):
         norm = 0.0
         for a in range(9):
             norm += g[a, n] * g[a, n]
@@ -88,9 +84,8 @@ def _trial_stress(stress, cell, first, last, dt, shear_modulus, largest, g, tria
         rxy, ryx = scale * (ax * ay - az), scale * (ax * ay + az)
         rxz, rzx = scale * (ax * az + ay), scale * (ax * az - ay)
         ryz, rzy = scale * (ay * az - ax), scale * (ay * az + ax)
-        c = cell + i
-        sxx, syy, szz = stress[0][c], stress[1][c], stress[2][c]
-        sxy, syz, sxz = stress[3][c], stress[4][c], stress[5][c]
+        sxx, syy, szz = sxx_row[n], syy_row[n], szz_row[n]
+        sxy, syz, sxz = sxy_row[n], syz_row[n], sxz_row[n]
         txx, txy, txz = rxx * sxx + rxy * sxy + rxz * sxz, rxx * sxy + rxy * syy + rxz * syz, \
             rxx * sxz + rxy * syz + rxz * szz
         tyx, tyy, tyz = ryx * sxx + ryy * sxy + ryz * sxz, ryx * sxy + ryy * syy + ryz * syz, \
@@ -111,7 +106,7 @@ def _trial_stress(stress, cell, first, last, dt, shear_modulus, largest, g, tria
                                            + 2.0 * (dxy * dxy + dyz * dyz + dxz * dxz)))
 
 
-@kernel
+@inlined
 def closure(x, fraction, jacobian, energy, eos, spall):
     """Return the volume fraction of a cell after its volume changed by ``jacobian``.
 
@@ -140,8 +135,7 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
     width = 0
     for r in range(count):
         width = max(width, runs[r, 3] - runs[r, 2])
-    g, trial = np.empty((9, width)), np.empty((6, width))
-    mises, strain = np.empty(width), np.empty(width)
+    g, trial, pair = np.empty((9, width)), np.empty((6, width)), np.empty((2, width))
     volume = dx * dx * dx
     fastest, where = 0.0, 0
     for r in range(count):
@@ -151,15 +145,21 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
         first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
         if last <= first:
             continue
-        cell = (k * ny + j) * nx
-        a = (k * (ny + 1) + j) * (nx + 1)
-        rows = (a, a + nx + 1, a + (ny + 1) * (nx + 1), a + (ny + 2) * (nx + 1))
-        _gradient_rows(u, rows, first, last, 0.25 / dx, g[0], g[1], g[2])
-        _gradient_rows(v, rows, first, last, 0.25 / dx, g[3], g[4], g[5])
-        _gradient_rows(w, rows, first, last, 0.25 / dx, g[6], g[7], g[8])
-        _trial_stress(stress, cell, first, last, dt, bulk.shear_modulus, largest, g, trial, mises, strain)
-        for i in range(first, last):
-            c, n = cell + i, i - first
+        n1 = last - first
+        cell = (k * ny + j) * nx + first
+        a = (k * (ny + 1) + j) * (nx + 1) + first
+        b, c, m = a + nx + 1, a + (nx + 1) * (ny + 1), n1 + 1
+        d = c + nx + 1
+        mises, strain = pair[0, :n1], pair[1, :n1]
+        scale = 0.25 / dx
+        _gradient_rows(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], scale, g[0, :n1], g[1, :n1], g[2, :n1])
+        _gradient_rows(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], scale, g[3, :n1], g[4, :n1], g[5, :n1])
+        _gradient_rows(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], scale, g[6, :n1], g[7, :n1], g[8, :n1])
+        e1 = cell + n1
+        _trial_stress(stress[0][cell:e1], stress[1][cell:e1], stress[2][cell:e1], stress[3][cell:e1],
+                      stress[4][cell:e1], stress[5][cell:e1], dt, bulk.shear_modulus, largest, g, trial, mises, strain)
+        for n in range(n1):
+            c = cell + n
             x = mass[c]
             if x <= 0.0:
                 continue

@@ -24,6 +24,7 @@ OVERFILL = 1.0 + 1e-3
 """A cell may be overfilled by this much: 0.1 % of compression, far below that of any impact."""
 
 ROUNDS = 60
+_ALONE = {"mass": 0}
 
 
 @dataclass
@@ -152,7 +153,7 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     flat, part = state.flat, state.part
     added = np.zeros(part.cell_shape)
     paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), part.box.dx, added)
-    state.boundary.fill({"mass": added}, ("mass",))
+    state.boundary.fill(added.reshape(-1), _ALONE, ("mass",))
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,

@@ -87,7 +87,7 @@ def _sweep_fields(state: State, model: Model, axis: int, window: tuple[int, ...]
                   offsets: np.ndarray, masses: np.ndarray, moved: np.ndarray) -> None:
     ny, nx = (n + 1 for n in state.part.cell_shape[1:])
     moved_strides = (nx * ny, nx)
-    second = int(model.settings.second_order)
+    second = float(model.settings.second_order)
     memory = state.pool.memory
     if axis == 0:
         runs, count = state.runs

@@ -27,6 +27,7 @@ class Clock:
     limit: str = ""
     limits: timestep.Limits = field(default_factory=timestep.Limits)
     fastest_heavy: float = 0.0
+    stop: bool = False  # some rank asked for a stop; all ranks know it after the same step
     active_cell_steps: int = 0
 
     @property
@@ -48,7 +49,7 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     limits.wave, limits.wave_cell = lagrange.forces(state, model, power)
     size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle)
     _refuse_collapse(state, model, size, limits)
-    dt = size.dt
+    dt, clock.stop = size.dt, bool(size.rates[4])
     ledger.add_power("viscous_power", power[0], dt)
     ledger.add_power("hourglass_power", power[1], dt)
 

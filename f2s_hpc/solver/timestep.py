@@ -26,10 +26,11 @@ class Limits:
     heavy_speed: float = 0.0
     gradient: float = 0.0
     gradient_cell: int = 0
+    stop: bool = False  # this rank asks for a stop (signal, wall time)
 
     def over_ranks(self) -> np.ndarray:
-        """Return [wave, light speed, heavy speed, gradient], largest over all ranks; not-a-number counts as infinite."""
-        local = np.array([self.wave, self.light_speed, self.heavy_speed, self.gradient])
+        """Return [wave, light speed, heavy speed, gradient, stop], largest over all ranks; NaN counts as infinite."""
+        local = np.array([self.wave, self.light_speed, self.heavy_speed, self.gradient, float(self.stop)])
         return mpi.maximum(np.where(np.isnan(local), np.inf, local))
 
 
@@ -71,7 +72,7 @@ def choose(state: State, model: Model, limits: Limits, previous: float | None, r
         flat = limits.wave_cell if which < 3 else limits.gradient_cell
         cell = locate(state, local if math.isfinite(local) else math.nan, math.nan, flat)
         raise UnstableStep(f"the {name} is not finite at cell (i, j, k) = {cell}")
-    wave, light, heavy, gradient = rates
+    wave, light, heavy, gradient, _ = rates
     s = model.settings
     speed = max(light, heavy)
     sizes = [s.courant * model.dx / wave if wave > 0.0 else math.inf,

@@ -1,0 +1,45 @@
+"""The surface of a deposit: height per column, and the height of the same material without pores."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc.errors import InputError
+
+HALF_FULL = 0.5
+"""A cell with at least this volume fraction is material; the interface lies where it is reached."""
+
+
+def surface_height(volume_fraction: np.ndarray, speed: np.ndarray, dx: float, slow_speed: float) -> np.ndarray:
+    """Return the height (m, above the bottom of the box) of the landed material in each column, (ny, nx).
+
+    The highest cell k with VF >= 0.5 and a speed below ``slow_speed`` carries the surface; its height is
+    (k + VF_k + VF_k+1) dx. The cell above counts as long as it is less than half full and slow itself, so
+    material in flight never counts. A column without landed material has height 0.
+
+    ``volume_fraction``, ``speed`` (m/s): cells, (nz, ny, nx); ``dx``: cell size (m); ``slow_speed`` (m/s).
+    Raises ``InputError`` when the two arrays differ in shape or are not three-dimensional.
+    """
+    if volume_fraction.ndim != 3 or volume_fraction.shape != speed.shape:
+        raise InputError(f"surface height: volume_fraction has shape {volume_fraction.shape}, speed {speed.shape}; "
+                         "both must be (nz, ny, nx)")
+    slow = speed < slow_speed
+    landed = slow & (volume_fraction >= HALF_FULL)
+    nz = landed.shape[0]
+    top = nz - 1 - np.argmax(landed[::-1], axis=0)
+    fill = np.clip(np.asarray(volume_fraction, dtype=np.float64), 0.0, 1.0)
+    resting = np.where(slow & (fill < HALF_FULL), fill, 0.0)
+    above = np.concatenate([resting[1:], np.zeros((1, *fill.shape[1:]))])
+    row, column = np.indices(top.shape)
+    height = (top + fill[top, row, column] + above[top, row, column]) * dx
+    return np.where(landed.any(axis=0), height, 0.0)
+
+
+def dense_height(volume_fraction: np.ndarray, dx: float, substrate_height: float) -> float:
+    """Return the height (m) above the substrate top that all material in the box would have without pores.
+
+    H = dx sum(VF) / (nx ny) - H_s. Material in flight counts, and an eroded substrate makes it negative.
+    ``volume_fraction``: cells, (nz, ny, nx); ``dx``, ``substrate_height`` in m.
+    """
+    _, ny, nx = volume_fraction.shape
+    return float(volume_fraction.sum(dtype=np.float64)) * dx / (nx * ny) - substrate_height

@@ -1,0 +1,122 @@
+"""The ``f2s`` command: parse, call, report, exit code."""
+
+from __future__ import annotations
+
+import argparse
+import pathlib
+import sys
+
+from f2s_hpc.errors import F2SError, InputError
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="f2s", description="Simulate cold-spray deposition: batches of particles hit a substrate and deform.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def command(name: str, text: str) -> argparse.ArgumentParser:
+        return commands.add_parser(name, help=text, description=text)
+
+    def scene_arguments(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument("scene", metavar="SCENE", help="name of a built-in scene, or a TOML file")
+        sub.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
+                         help='replace one value of the scene, e.g. --set domain.cell_size="6 um"')
+
+    sub = command("scenes", "list the built-in scenes, or print one as TOML to edit")
+    sub.add_argument("name", nargs="?", metavar="NAME")
+    scene_arguments(command("check", "validate a scene and say what running it will take"))
+    sub = command("run", "run a scene (alone or under mpirun)")
+    scene_arguments(sub)
+    sub.add_argument("--out", metavar="DIR", help="new folder for the results (default: runs/<scene>)")
+    sub = command("resume", "continue a run from its newest valid checkpoint, on any number of ranks")
+    sub.add_argument("folder", metavar="DIR")
+    sub.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
+                     help="replace a value of the run, output or numerics section")
+    sub = command("particles", "write the batches of a scene as CSV files")
+    scene_arguments(sub)
+    sub.add_argument("--out", metavar="DIR", required=True)
+    command("inspect", "print the cycle table of a run").add_argument("folder", metavar="DIR")
+    sub = command("compare", "compare two runs field by field at each cycle")
+    sub.add_argument("first", metavar="DIR")
+    sub.add_argument("second", metavar="DIR")
+    sub.add_argument("--exact", action="store_true", help="exit 0 only if every saved bit is equal")
+    command("doctor", "tell what is installed, and write and read a file on two ranks")
+    return parser
+
+
+def _scenes(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.config import load_scene, scene_names, scene_text
+    if arguments.name:
+        print(scene_text(arguments.name), end="")
+        return 0
+    for name in scene_names():
+        print(f"{name:20s} {load_scene(name).title}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from f2s_hpc import mpi
+    from f2s_hpc.cli import tasks
+    scene = tasks.load(arguments.scene, arguments.overrides)
+    text = tasks.check(scene)
+    if mpi.is_root():
+        print(text)
+    return 0
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import tasks
+    scene = tasks.load(arguments.scene, arguments.overrides)
+    out = arguments.out or str(pathlib.Path("runs") / pathlib.Path(arguments.scene).stem)
+    return tasks.run(scene, out)
+
+
+def _resume(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import tasks
+    return tasks.resume(arguments.folder, arguments.overrides)
+
+
+def _particles(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import tasks
+    return tasks.write_particles(tasks.load(arguments.scene, arguments.overrides), arguments.out)
+
+
+def _inspect(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import tasks
+    return tasks.inspect(arguments.folder)
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.io.compare import compare_runs, format_comparison
+    comparison = compare_runs(arguments.first, arguments.second)
+    print(format_comparison(comparison))
+    return 1 if arguments.exact and not comparison.identical else 0
+
+
+def _doctor(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.doctor import run_doctor
+    return run_doctor(sys.stdout)
+
+
+_COMMANDS = {"scenes": _scenes, "check": _check, "run": _run, "resume": _resume, "particles": _particles,
+             "inspect": _inspect, "compare": _compare, "doctor": _doctor}
+
+
+def main(arguments: list[str]) -> int:
+    """Run one command; return its exit code. A user's error is one line on standard error, from rank 0 only."""
+    parsed = _parser().parse_args(arguments)
+    from f2s_hpc import mpi
+    mpi.install_abort_hook()
+    try:
+        return _COMMANDS[parsed.command](parsed)
+    except F2SError as error:
+        if mpi.is_root():
+            prefix = "" if isinstance(error, InputError) else "f2s: "
+            sys.stdout.flush()
+            print(f"{prefix}{error}", file=sys.stderr, flush=True)
+        return error.exit_code
+
+
+def entry() -> None:
+    """Entry point of the ``f2s`` command."""
+    sys.exit(main(sys.argv[1:]))

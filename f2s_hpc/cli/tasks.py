@@ -1,0 +1,141 @@
+"""What the commands do, once their arguments are parsed. Collective unless said otherwise."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import sys
+
+from f2s_hpc import fields, mpi
+from f2s_hpc.analysis.table import format_table
+from f2s_hpc.config import describe, load_scene, scene_hash
+from f2s_hpc.config.load import parse_scene
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles.simulation import COMPLETE, Simulation
+from f2s_hpc.errors import CheckpointError, InputError
+from f2s_hpc.grid.box import Box
+from f2s_hpc.grid.decomposition import Decomposition, process_grid
+from f2s_hpc.io import checkpoint, layout, runs
+from f2s_hpc.particles.batch import clipped_volume, make_batches, write_csv
+
+EXIT_REQUEUE = 75
+"""Exit code of a run that stopped early with a good checkpoint: run ``f2s resume`` to go on."""
+
+
+def load(name: str, overrides: list[str]) -> Scene:
+    """Read a scene on rank 0 and give it to all; a wrong one ends all ranks with the same line."""
+    return mpi.run_together(load_scene, name, overrides)
+
+
+def _painted(scene: Scene, plan) -> tuple[int, float]:
+    """Return the number of particles of the whole run and their volume inside the box (m3)."""
+    x, y, z = scene.domain.extents
+    volumes = [clipped_volume(batch, x, y, z) for batch in plan.batches]
+    return (sum(plan.batches[b].count for b in plan.order), sum(volumes[b] for b in plan.order))
+
+
+def check(scene: Scene) -> str:
+    """Return what running the scene will take; nothing is computed but the decomposition and the batches."""
+    plan = mpi.run_together(make_batches, scene)
+    decomposition = Decomposition(Box(scene.domain.cells, scene.domain.cell_size))
+    parts = mpi.all_gather(decomposition.part.count)
+    particles, volume = _painted(scene, plan)
+    text = describe(scene, mpi.size(), parts, fields.bytes_per_cell(scene.mie_grueneisen), painted_volume=volume,
+                    particles=particles)
+    return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
+
+
+def run(scene: Scene, out: str) -> int:
+    """Run a scene into the new folder ``out``; return the exit code."""
+    plan = mpi.run_together(make_batches, scene)
+    decomposition_fits(scene)
+    folder = runs.prepare_run_folder(out)
+    simulation = Simulation(scene, folder, plan)
+    _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
+         f"{1e6 * scene.domain.cell_size:g} um on {mpi.size()} rank{'s' if mpi.size() > 1 else ''}, into {folder}")
+    simulation.begin()
+    return _finish(simulation, folder)
+
+
+def decomposition_fits(scene: Scene) -> None:
+    """Raise ``InputError`` on all ranks, before anything is written, if the box can not be cut for this rank count."""
+    process_grid(Box(scene.domain.cells, scene.domain.cell_size), mpi.size())
+
+
+def resume(folder: str, overrides: list[str]) -> int:
+    """Continue the run in ``folder`` from its newest valid checkpoint; return the exit code."""
+    for text in overrides:
+        if text.split(".")[0] not in ("run", "output"):
+            raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections')
+    path, skipped = checkpoint.newest_valid_checkpoint(pathlib.Path(folder) / layout.CHECKPOINTS)
+    for message in skipped:
+        _say(message)
+    attributes = mpi.run_together(_checkpoint_attributes, path)
+    scene = mpi.run_together(_saved_scene, attributes, str(path), overrides)
+    decomposition_fits(scene)
+    simulation = Simulation(scene, folder)
+    simulation.resume(path)
+    clock = simulation.clock
+    _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
+         f"{1e6 * clock.time:.4f} us, on {mpi.size()} ranks")
+    return _finish(simulation, folder)
+
+
+def _checkpoint_attributes(path: os.PathLike) -> dict:
+    return runs.open_checkpoint_serial(path, names=[])[1]
+
+
+def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> Scene:
+    scene = parse_scene(attributes["scene"], source)
+    if scene_hash(scene) != attributes["scene_hash"]:
+        raise CheckpointError(f"{source}: its scene does not match its own hash")
+    return parse_scene(attributes["scene"], source, overrides) if overrides else scene
+
+
+def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
+    status = simulation.run()
+    folder = pathlib.Path(folder)
+    if mpi.is_root():
+        print(f"{status}: numbers {folder / layout.SUMMARY_JSON} and {folder / layout.SUMMARY_CSV}, "
+              f"ParaView {folder / layout.INDEX}, picture {folder / 'deposit.png'}")
+        sys.stdout.flush()
+    return 0 if status == COMPLETE else EXIT_REQUEUE
+
+
+def write_particles(scene: Scene, out: str) -> int:
+    """Write every batch of a scene as ``batch-NN.csv`` (x,y,z,r in mm) into the folder ``out``; rank 0 only."""
+    plan = mpi.run_together(make_batches, scene)
+
+    def write() -> list[str]:
+        folder = pathlib.Path(out)
+        if folder.exists() and any(folder.iterdir()):
+            raise InputError(f"{folder}: is not empty; name a new folder with --out")
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = []
+        x, y, z = scene.domain.extents
+        for number, batch in enumerate(plan.batches, start=1):
+            path = folder / f"batch-{number:02d}.csv"
+            write_csv(path, batch)
+            volume = clipped_volume(batch, x, y, z)
+            lines.append(f"{path}: {batch.count} spheres, {1e6 * volume / (x * y):.2f} um of dense height")
+        return lines
+
+    lines = mpi.run_together(write)
+    for line in [*lines, *(f"note: {m}" for m in plan.messages),
+                 "order of batches over the cycles: " + " ".join(str(b + 1) for b in plan.order)]:
+        _say(line)
+    return 0
+
+
+def inspect(folder: str) -> int:
+    """Print the cycle table and the status of a run; rank 0 only."""
+    summary = mpi.run_together(runs.read_summary, folder)
+    rows = mpi.run_together(runs.read_cycle_table, folder)
+    _say(f"{summary['scene']}: {summary['status']}, {summary['particles']} particles, {summary['ranks']} ranks")
+    _say(format_table(rows))
+    return 0
+
+
+def _say(text: str) -> None:
+    if mpi.is_root():
+        print(text, flush=True)

@@ -1,0 +1,159 @@
+"""What a cycle is judged by: heights, PEEQ, temperature, mass, energy; the same numbers on any rank count."""
+
+from __future__ import annotations
+
+import resource
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.fields import BY_NAME, CELL, STRESS
+from f2s_hpc.grid.box import GHOST
+from f2s_hpc.kernels import derived
+from f2s_hpc.particles.insert import kinetic_quanta, mass_quanta
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+SLOW = 0.1
+"""Material slower than this share of the particles' speed has landed."""
+
+_BINS = 8192
+_ZERO_CELSIUS = 273.15
+
+
+def derived_field(state: State, model: Model, name: str) -> np.ndarray:
+    """Return the owned part [k, j, i] of a field that is shown: a stored one, or pressure, von_mises, speed."""
+    if name in BY_NAME:
+        return state.owned(name)
+    out = np.zeros(state.part.cell_shape)
+    flat = state.flat
+    if name == "pressure":
+        derived.cell_pressure(model.eos, flat["mass"], flat["volume_fraction"], state.energy, out.reshape(-1))
+    elif name == "von_mises":
+        derived.cell_von_mises(tuple(flat[n] for n in STRESS), out.reshape(-1))
+    else:
+        derived.cell_speed(state.part.cell_shape, flat["mass"], *state.velocity, out.reshape(-1))
+    return out[state.part.owned_cells]
+
+
+def location(name: str) -> str:
+    """Return whether a shown field lives on cells or nodes."""
+    return BY_NAME[name].location if name in BY_NAME else CELL
+
+
+def percentiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]) -> list[float | None]:
+    """Return weighted percentiles over all ranks, from an exact integer histogram; None without material.
+
+    ``values``, ``weights``: this rank's cells, 1-D; ``shares`` in 0..1. Resolution: range / 8192, linear inside a bin.
+    """
+    if not mpi.total(np.int64(values.size)):
+        return [None] * len(shares)
+    low = float(mpi.minimum(values.min() if values.size else np.inf))
+    high = float(mpi.maximum(values.max() if values.size else -np.inf))
+    if high <= low:
+        return [low] * len(shares)
+    bins = np.minimum(((values - low) * (_BINS / (high - low))).astype(np.int64), _BINS - 1)
+    quanta = np.rint(weights * 2**20)
+    counts = mpi.total(np.bincount(bins, weights=quanta, minlength=_BINS).astype(np.int64))
+    cumulative = np.concatenate([[0], np.cumsum(counts)])
+    found = []
+    for share in shares:
+        target = share * cumulative[-1]
+        b = min(int(np.searchsorted(cumulative, target, side="right")) - 1, _BINS - 1)
+        inside = (target - cumulative[b]) / counts[b] if counts[b] else 0.0
+        found.append(low + (b + inside) * (high - low) / _BINS)
+    return found
+
+
+def surface_map(state: State, landed: np.ndarray) -> np.ndarray:
+    """Return the height (m, from the bottom of the box) of the landed material's surface, (ny, nx), on all ranks.
+
+    Per column: the top of the highest cell at least half full of landed material, plus what the cell above holds;
+    0 where there is none. ``landed``: bool, owned cells.
+    """
+    part = state.part
+    fraction = state.views["volume_fraction"]
+    own = fraction[part.owned_cells]
+    above = fraction[GHOST + 1:GHOST + 1 + part.count[2], part.owned_cells[1], part.owned_cells[2]]
+    solid = landed & (own >= 0.5)
+    nz = part.count[2]
+    top = nz - 1 - np.argmax(solid[::-1], axis=0)
+    rows, columns = np.indices(top.shape)
+    height = (part.start[2] + top + own[top, rows, columns] + np.where(above[top, rows, columns] < 0.5,
+                                                                       above[top, rows, columns], 0.0))
+    local = np.where(solid.any(axis=0), height * part.box.dx, 0.0)
+    whole = np.zeros((part.box.cells[1], part.box.cells[0]))
+    x0, y0, _ = part.start
+    whole[y0:y0 + part.count[1], x0:x0 + part.count[0]] = local
+    return mpi.maximum(whole)
+
+
+def material_quanta(state: State, model: Model) -> int:
+    """Return the mass in the box in quanta of ``model.mass_quantum`` full cells, exact, over all ranks."""
+    return sum(mpi.all_gather(mass_quanta(state.owned("mass"), model.mass_quantum)))
+
+
+def measure_material(state: State, model: Model, substrate_height: float, particle_speed: float) -> dict:
+    """Return heights (m, above the substrate top), PEEQ and temperature percentiles of what has landed."""
+    part = state.part
+    fraction, mass = state.owned("volume_fraction"), state.owned("mass")
+    slow = derived_field(state, model, "speed") < SLOW * particle_speed
+    centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
+    landed = slow & (fraction > 0.0)
+    deposit = landed & (fraction >= 0.5) & (centre[:, None, None] > substrate_height)
+    surface = surface_map(state, landed) - substrate_height
+    peeq, temperature = state.owned("peeq"), state.owned("temperature")
+    solid = fraction > 0.5
+    peeq_max = mpi.maximum(peeq[solid].max() if solid.any() else 0.0)
+    p50, p95 = percentiles(peeq[deposit], mass[deposit], (0.5, 0.95))
+    t50, t95 = percentiles(temperature[deposit] - _ZERO_CELSIUS, mass[deposit], (0.5, 0.95))
+    return {
+        "height_mean_m": float(surface.mean()), "height_p95_m": float(np.percentile(surface, 95)),
+        "height_max_m": float(surface.max()), "peeq_p50": p50, "peeq_p95": p95, "peeq_max": float(peeq_max),
+        "temperature_p50_degC": t50, "temperature_p95_degC": t95,
+    }
+
+
+def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> dict:
+    """Return the mass balance (kg, relative to the painted mass) and the energy ledger (J)."""
+    totals = ledger.totals()
+    area = part_area(state)
+    now = material_quanta(state, model)
+    painted = totals["mass_painted"]
+    missing = painted + substrate_quanta - totals["mass_left"] - totals["mass_capped"] - now
+    kilogram = model.mass_quantum * model.cell_mass
+    kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
+    energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
+    brought = energy["brought_in"]
+    lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "remainder"))
+    if not model.settings.viscous_heating:
+        lost += energy["shock_viscosity"]
+    return {
+        "painted_volume_m3": painted * model.mass_quantum * model.dx**3,
+        "mass_drift_relative": missing / painted if painted else 0.0,
+        "mass_left_kg": totals["mass_left"] * kilogram, "mass_capped_kg": totals["mass_capped"] * kilogram,
+        "dense_height_m": (now - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
+        "numerical_loss_fraction": lost / brought if brought else 0.0, "energy": energy,
+        "nodes_capped": totals["nodes_capped"],
+    }
+
+
+def part_area(state: State) -> float:
+    """Return the footprint of the box (m2)."""
+    x, y, _ = state.part.box.extents
+    return x * y
+
+
+def elastic_quanta(state: State, model: Model) -> int:
+    """Return the elastic energy of the material in quanta, an exact sum over all ranks."""
+    runs, count = state.runs
+    quanta = derived.elastic_energy(runs, count, state.cell_window(), state.part.cell_shape[1:], model.bulk,
+                                    model.eos, state.flat["mass"], state.flat["volume_fraction"], state.stress,
+                                    model.dx**3, model.energy_quantum)
+    return sum(mpi.all_gather(int(quanta)))
+
+
+def peak_memory() -> int:
+    """Return the largest resident memory of this rank so far (bytes)."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

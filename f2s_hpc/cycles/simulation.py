@@ -1,0 +1,237 @@
+"""The recurring simulation: insert a batch, run a cycle, save everything, next batch."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.build import build_ledger, build_model, build_state
+from f2s_hpc.config.dump import dump_scene, scene_hash
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles import measure
+from f2s_hpc.cycles.output import RunFolder
+from f2s_hpc.cycles.progress import Progress
+from f2s_hpc.cycles.stop import StopRequest
+from f2s_hpc.errors import UnstableStep
+from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.io import checkpoint
+from f2s_hpc.particles.batch import Batch, BatchPlan
+from f2s_hpc.particles.insert import InsertReport, paint_batch, paint_substrate
+from f2s_hpc.solver.step import Clock, advance
+
+RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
+
+
+class Simulation:
+    """A run of a scene, from its start or from a checkpoint.
+
+    ``plan``: the batches, the same on every rank; None to take them from the run folder. All methods are collective.
+    """
+
+    def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None) -> None:
+        self.scene = scene
+        self.stop = StopRequest(scene.run.wall_time)
+        self.folder = RunFolder(folder, scene)
+        self.plan = plan or self.folder.read_plan()
+        self.model = build_model(scene)
+        self.state = build_state(scene)
+        self.ledger = build_ledger(self.model)
+        self.clock = Clock()
+        self.cycle = 0
+        self.batch_is_in = False
+        self.particles = 0
+        self.moved = 0
+        self.waiting = _empty_batch()
+        self.rows: list[dict] = []
+        self.frame = 0
+        self.next_frame_time = scene.output.frame_interval or np.inf
+        self.substrate_quanta = 0
+        self.active_before = 0
+        self.progress = Progress(False, 1.0, 0.0, 1.0)
+        self.status = RUNNING
+
+    # --- start and resume ---------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Paint the substrate; write the resolved scene and the batches."""
+        paint_substrate(self.state, self.scene.domain.substrate_height, self.scene.substrate.temperature)
+        self.substrate_quanta = measure.material_quanta(self.state, self.model)
+        self.folder.write_input(self.plan)
+
+    def resume(self, path: pathlib.Path) -> None:
+        """Continue from the checkpoint at ``path``; raises ``CheckpointError`` on all ranks if it does not verify."""
+        state = self.state
+        requests = {}
+        for name in state.saved:
+            count = state.part.count if BY_NAME[name].location == CELL else state.part.node_count
+            requests[name] = (state.part.start[::-1], count[::-1])
+        arrays, saved = checkpoint.read_checkpoint(path, requests)
+        for name, array in arrays.items():
+            state.owned(name)[...] = array
+        state.exchange(state.ghosted)
+        state.everything_active()
+        self._restore(saved)
+
+    def _restore(self, saved: dict) -> None:
+        clock = self.clock
+        for name, value in saved["clock"].items():
+            setattr(clock, name, value)
+        for name, value in saved["limits"].items():
+            setattr(clock.limits, name, value)
+        self.ledger.restore({name: int(text) for name, text in saved["ledger"].items()})
+        if not mpi.is_root():
+            clock.active_cell_steps = 0
+        self.cycle, self.batch_is_in = saved["cycle"], saved["batch_is_in"]
+        self.particles, self.moved = saved["particles"], saved["moved"]
+        self.waiting = Batch(*(np.array(a, dtype=float) for a in saved["waiting"]))
+        self.rows, self.frame = saved["rows"], saved["frame"]
+        self.next_frame_time = saved["next_frame_time"] or np.inf
+        self.substrate_quanta = int(saved["substrate_quanta"])
+
+    def _attributes(self) -> dict:
+        """Return all that a resumed run needs besides the fields; the same on any rank count."""
+        clock, rates = self.clock, self.clock.limits.over_ranks()
+        return {
+            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "step": clock.steps,
+            "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
+                      "dt": clock.dt, "limit": clock.limit,
+                      "fastest_heavy": float(mpi.maximum(clock.fastest_heavy)),
+                      "active_cell_steps": int(mpi.total(np.int64(clock.active_cell_steps)))},
+            "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
+            "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
+            "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,
+            "waiting": [a.tolist() for a in (self.waiting.x, self.waiting.y, self.waiting.z, self.waiting.r)],
+            "rows": self.rows, "frame": self.frame,
+            "next_frame_time": None if np.isinf(self.next_frame_time) else self.next_frame_time,
+            "substrate_quanta": str(self.substrate_quanta),
+        }
+
+    # --- the run ------------------------------------------------------------------------------------
+
+    def run(self) -> str:
+        """Run all remaining cycles; return the status: complete or timeout. Raises ``UnstableStep``.
+
+        Whatever happens, ``summary.json`` tells; after a failure the last checkpoint stands.
+        """
+        scene = self.scene
+        self.progress = Progress(mpi.is_root(), scene.cycles.total_time, self.clock.time,
+                                 scene.output.progress_seconds, mpi.launched_by_mpirun())
+        for message in self.plan.messages:
+            self.progress.say(f"note: {message}")
+        self.active_before = int(mpi.total(np.int64(self.clock.active_cell_steps)))
+        try:
+            while self.cycle < scene.cycles.count:
+                if not self._run_cycle():
+                    self.status = TIMEOUT
+                    break
+            else:
+                self.status = COMPLETE
+        except UnstableStep:
+            self.status = FAILED
+            self.folder.write_tables(self.rows, self.summary())
+            raise
+        summary = self.summary()
+        self.folder.write_tables(self.rows, summary)
+        self.folder.draw(summary)
+        return self.status
+
+    def _run_cycle(self) -> bool:
+        """Run one cycle to its end; False when a stop was asked for and a checkpoint was written."""
+        duration = self.scene.cycles.durations[self.cycle]
+        if not self.batch_is_in:
+            self._insert()
+        clock = self.clock
+        while clock.in_cycle < duration * (1.0 - 1e-12):
+            clock.limits.stop = self.stop.asked()
+            advance(self.state, self.model, clock, self.ledger, duration)
+            self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
+            if clock.time >= self.next_frame_time:
+                self._frame()
+                self.next_frame_time += self.scene.output.frame_interval
+            if clock.stop and clock.in_cycle < duration * (1.0 - 1e-12):
+                path = self.folder.write_checkpoint(self.state, self.cycle, self._attributes())
+                self.progress.say(f"stopped: {self.stop.reason()}; checkpoint {path}")
+                return False
+        self._finish_cycle(duration)
+        return not clock.stop or self.cycle == self.scene.cycles.count
+
+    def _insert(self) -> None:
+        scene = self.scene
+        batch = _join(self.plan.batches[self.plan.order[self.cycle]], self.waiting)
+        report: InsertReport = paint_batch(
+            self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
+            scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
+        self.waiting = report.deferred or _empty_batch()
+        self.particles += report.spheres
+        self.moved += report.moved
+        self.batch_is_in = True
+        limits = self.clock.limits
+        limits.heavy_speed = max(limits.heavy_speed, scene.particles.speed)
+        if report.message():
+            self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
+
+    def _finish_cycle(self, duration: float) -> None:
+        clock = self.clock
+        clock.cycle_start += duration
+        clock.in_cycle = 0.0
+        row = self._row()
+        self.rows.append(row)
+        self.cycle += 1
+        self.batch_is_in = False
+        output = self.scene.output
+        if output.frames == "cycle":
+            self._frame()
+        self.folder.write_tables(self.rows, self.summary())
+        if output.checkpoints or clock.stop:
+            self.folder.write_checkpoint(self.state, self.cycle, self._attributes())
+        p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
+        t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"
+        self.progress.say(
+            f"cycle {self.cycle}/{self.scene.cycles.count} done: {row['particles']} particles, dense height "
+            f"{1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
+            f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss {100 * row['numerical_loss_fraction']:.1f} %, "
+            f"unexplained {100 * row['energy']['remainder'] / max(row['energy']['brought_in'], 1e-300):.2f} %")
+
+    def _frame(self) -> None:
+        self.folder.write_frame(self.state, self.model, self.frame, self.clock.time)
+        self.frame += 1
+
+    # --- numbers ------------------------------------------------------------------------------------
+
+    def _row(self) -> dict:
+        clock, scene = self.clock, self.scene
+        memory = mpi.all_gather(measure.peak_memory())
+        row = {
+            "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
+            "dt_limit": clock.limit, "particles": self.particles, "particles_moved": self.moved,
+            "particles_waiting": self.waiting.count}
+        row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.particles.speed)
+        row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
+        active = int(mpi.total(np.int64(clock.active_cell_steps)))
+        wall = float(mpi.broadcast(self.stop.elapsed()))
+        row |= {
+            "speed_max_heavy_m_s": float(mpi.maximum(clock.fastest_heavy)),
+            "active_cells": int(mpi.total(np.int64(self.state.active_cells()))), "active_cell_steps": active,
+            "wall_s": wall, "active_cell_steps_per_s": (active - self.active_before) / max(wall, 1e-9),
+            "peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
+        return row
+
+    def summary(self) -> dict:
+        """Return ``summary.json``: the last row of the cycle table, or the present state, and the run as a whole."""
+        row = self.rows[-1] if self.rows and not self.batch_is_in else self._row()
+        keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
+        return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
+                "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}
+
+
+def _empty_batch() -> Batch:
+    return Batch(*(np.empty(0) for _ in range(4)))
+
+
+def _join(first: Batch, second: Batch) -> Batch:
+    """Return both batches as one; spheres that waited come last."""
+    return Batch(*(np.concatenate(pair) for pair in zip((first.x, first.y, first.z, first.r),
+                                                        (second.x, second.y, second.z, second.r))))
