@@ -29,6 +29,7 @@ _LONGEST = 6.5
 _MARGIN, _HEAD, _FOOT = 0.15, 0.68, 0.42
 _LEFT, _RIGHT, _BELOW, _ABOVE, _ABOVE_WIDE = 0.62, 0.16, 0.52, 0.66, 0.42
 _WIDE = 4.6
+_ARRANGEMENTS = (((0,), (1,), (2,)), ((0, 1), (2,)), ((0, 1, 2),))
 _BAR, _BAR_GAP, _BAR_WIDE = 0.11, 0.07, 2.8
 _INK, _GREY = "#1a1a1a", "#555555"
 
@@ -140,7 +141,7 @@ def choose_section(fraction: np.ndarray, surface: np.ndarray, dx: float, substra
     if top - ground < 2.0:  # nothing has landed yet: show what is in flight
         layers = np.nonzero((fraction >= HALF_FULL).any(axis=(1, 2)))[0]
         top = max(top, float(layers[-1] + 1)) if layers.size else float(nz)
-    low = max(0.0, ground - max(0.5 * min(nx, ny), top - ground))
+    low = max(0.0, ground - max(0.4 * min(nx, ny), top - ground))
     high = min(float(nz), top + max(2.0, 0.08 * (top - low)))
     up = slice(int(low), max(int(np.ceil(high)), int(low) + 1))
 
@@ -158,17 +159,17 @@ def place(section_ratio: float, map_ratio: float) -> tuple[tuple[float, float], 
     """Return the size of the figure and the places of its three panels (inches).
 
     ``section_ratio``, ``map_ratio``: height over width of the sections and of the map. Of three arrangements
-    (side by side, sections beside the map, one above the other) the one with the widest panels is taken; all
+    (side by side, sections beside the map, one above the other) the one with clearly the widest panels is taken. All
     panels are equally wide, so section and map have one scale, unless a map in its own column would be small.
     """
     ratios = (section_ratio, section_ratio, map_ratio)
-    best: tuple[float, tuple[tuple[int, ...], ...]] = (0.0, ())
     for tallest in _HEIGHTS:
-        best = max((_panel_width(columns, ratios, tallest), columns)
-                   for columns in (((0,), (1,), (2,)), ((0, 1), (2,)), ((0, 1, 2),)))
-        if best[0] * min(1.0, *ratios) >= _LEAST_SIDE:
+        fitting = {columns: _panel_width(columns, ratios, tallest) for columns in _ARRANGEMENTS}
+        # side by side reads best, so another one must gain clearly
+        columns = max(fitting, key=lambda c: fitting[c] * (1.3 if len(c) == 3 else 1.0))
+        width = fitting[columns]
+        if width * min(1.0, *ratios) >= _LEAST_SIDE:
             break
-    width, columns = best
     room = tallest - _HEAD - _FOOT
     widths = [width] * len(columns)
     spare = _WIDTH - 2 * _MARGIN - len(columns) * (width + _LEFT + _RIGHT)
@@ -210,7 +211,8 @@ def _ticks(axis: Any, inches: float) -> None:
 
 
 def _limits(values: np.ndarray, least: float) -> tuple[float, float]:
-    """Return the 1st and 99th percentile of ``values``, at least ``least`` apart."""
+    """Return the 1st and 99th percentile of the finite ``values``, at least ``least`` apart."""
+    values = values[np.isfinite(values)]
     if values.size == 0:
         return 0.0, least
     low, high = (float(v) for v in np.percentile(values, (1.0, 99.0)))

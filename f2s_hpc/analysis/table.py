@@ -31,7 +31,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("steps", "", "steps", "", ".0f"),
     Column("dt_s", "time step", "dt", "ps", ".1f", 1e12),
     Column("dt_limit", "time step", "limit", "", ""),
-    Column("particles", "", "parti-", "cles", ".0f"),
+    Column("particles", "", "particles", "", ".0f"),
     Column("dense_height_m", "height above substrate", "dense", "um", ".1f", 1e6),
     Column("height_mean_m", "height above substrate", "mean", "um", ".1f", 1e6),
     Column("height_p95_m", "height above substrate", "p95", "um", ".1f", 1e6),

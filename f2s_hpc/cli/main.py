@@ -99,12 +99,15 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 
 _COMMANDS = {"scenes": _scenes, "check": _check, "run": _run, "resume": _resume, "particles": _particles,
-             "inspect": _inspect, "compare": _compare, "doctor": _doctor}
+             "inspect": _inspect, "compare": _compare}
 
 
 def main(arguments: list[str]) -> int:
     """Run one command; return its exit code. A user's error is one line on standard error, from rank 0 only."""
     parsed = _parser().parse_args(arguments)
+    if parsed.command == "doctor":
+        # tells what is missing, so it must start where the rest can not
+        return _doctor(parsed)
     from f2s_hpc import mpi
     mpi.install_abort_hook()
     try:
@@ -115,6 +118,9 @@ def main(arguments: list[str]) -> int:
             sys.stdout.flush()
             print(f"{prefix}{error}", file=sys.stderr, flush=True)
         return error.exit_code
+    finally:
+        if "f2s_hpc.grid.halo" in sys.modules and sys.exc_info()[0] is None:
+            sys.modules["f2s_hpc.grid.halo"].release_all()
 
 
 def entry() -> None:

@@ -80,8 +80,8 @@ def surface_map(state: State, landed: np.ndarray) -> np.ndarray:
     nz = part.count[2]
     top = nz - 1 - np.argmax(solid[::-1], axis=0)
     rows, columns = np.indices(top.shape)
-    height = (part.start[2] + top + own[top, rows, columns] + np.where(above[top, rows, columns] < 0.5,
-                                                                       above[top, rows, columns], 0.0))
+    over = above[top, rows, columns]
+    height = part.start[2] + top + own[top, rows, columns] + np.where(over < 0.5, over, 0.0)
     local = np.where(solid.any(axis=0), height * part.box.dx, 0.0)
     whole = np.zeros((part.box.cells[1], part.box.cells[0]))
     x0, y0, _ = part.start

@@ -70,13 +70,14 @@ class RunFolder:
 
         return mpi.run_together(read)
 
-    def write_frame(self, state: State, model: Model, number: int, time: float) -> None:
-        """Write a frame of the scene's output fields, and renew the index."""
+    def write_frame(self, state: State, model: Model, number: int, time: float, cycle: int) -> list[str]:
+        """Write a frame of the scene's output fields, and renew the index; return lines on frames left out of it."""
         blocks = [_block(state, name, measure.derived_field(state, model, name), measure.location(name) != CELL)
                   for name in self.scene.output.fields]
         folder = self.path / layout.FRAMES
-        vtkhdf.write_frame(folder, number, time, blocks, (0.0, 0.0, 0.0), (model.dx,) * 3, self.provenance())
-        vtkhdf.update_index(folder)
+        vtkhdf.write_frame(folder, number, time, blocks, (0.0, 0.0, 0.0), (model.dx,) * 3,
+                           self.provenance() | {"cycle": cycle})
+        return vtkhdf.update_index(folder)
 
     def write_checkpoint(self, state: State, cycle: int, attributes: dict) -> pathlib.Path:
         """Write every saved field and ``attributes``; keep the newest few."""
@@ -114,7 +115,8 @@ class RunFolder:
                 height = 1e6 * summary["dense_height_m"]
                 picture.draw(fields, self.scene.domain.cell_size, self.scene.domain.substrate_height, self.scene.title,
                              f"{summary['particles']} particles, {1e6 * summary['time_s']:.2f} us, dense height "
-                             f"{height:.1f} um, cells of {1e6 * self.scene.domain.cell_size:g} um", path)
+                             f"{height:.1f} um, cells of {1e6 * self.scene.domain.cell_size:g} um", path,
+                             slow_speed=measure.SLOW * self.scene.particles.speed)
         mpi.barrier()
         return path
 

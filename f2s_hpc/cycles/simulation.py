@@ -135,7 +135,8 @@ class Simulation:
             raise
         summary = self.summary()
         self.folder.write_tables(self.rows, summary)
-        self.folder.draw(summary)
+        if self.folder.draw(summary) is None and scene.output.picture and mpi.is_root():
+            self.progress.say("note: no picture; it needs volume_fraction, peeq, temperature and speed in output.fields")
         return self.status
 
     def _run_cycle(self) -> bool:
@@ -196,7 +197,8 @@ class Simulation:
             f"unexplained {100 * row['energy']['remainder'] / max(row['energy']['brought_in'], 1e-300):.2f} %")
 
     def _frame(self) -> None:
-        self.folder.write_frame(self.state, self.model, self.frame, self.clock.time)
+        for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle):
+            self.progress.say(f"note: {note}")
         self.frame += 1
 
     # --- numbers ------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.decomposition import Decomposition
 
 _ALIGNMENT = 8
+_living: list[Pool] = []
 
 
 class Pool:
@@ -41,6 +42,7 @@ class Pool:
         self.views = {name: self._view(part, name) for name in self.names}
         self._offsets_of = mpi.all_gather(self.offsets)
         self._forests: dict[tuple[str, ...], PETSc.SF] = {}
+        _living.append(self)
 
     @staticmethod
     def _shape(part, name: str) -> tuple[int, int, int]:
@@ -80,3 +82,13 @@ class Pool:
         for forest in self._forests.values():
             forest.destroy()
         self._forests.clear()
+
+
+def release_all() -> None:
+    """Free the PETSc objects of every pool; collective, to be called before the interpreter ends.
+
+    PETSc collects what is left at exit with collective calls of its own, which hang when the ranks' Python
+    dropped their objects in different orders.
+    """
+    while _living:
+        _living.pop().destroy()

@@ -1,0 +1,72 @@
+"""The surface of a deposit, on columns whose height is known."""
+
+import numpy as np
+import pytest
+
+from f2s_hpc.analysis.surface import dense_height, surface_height
+from f2s_hpc.errors import InputError
+
+DX = 2e-6
+SLOW, FAST = 1.0, 615.0
+LIMIT = 61.5
+
+
+def column(*fill, speed=None):
+    """Return a box of one column, from the bottom up, all at rest unless told."""
+    fraction = np.array(fill, dtype=float).reshape(-1, 1, 1)
+    return fraction, np.full(fraction.shape, SLOW) if speed is None else np.array(speed, float).reshape(-1, 1, 1)
+
+
+@pytest.mark.parametrize(("fill", "cells"), [
+    ((1.0, 1.0, 0.0, 0.0), 2.0),
+    ((1.0, 1.0, 0.3, 0.0), 2.3),
+    ((1.0, 0.7, 0.0, 0.0), 1.7),
+    ((1.0, 0.7, 0.2, 0.4), 1.9),
+    ((1.0, 0.0, 0.0, 0.8), 3.8),
+    ((1.0, 1.0, 1.0, 1.0), 4.0),
+    ((0.5, 0.0, 0.0, 0.0), 0.5),
+    ((0.4, 0.0, 0.0, 0.0), 0.0),
+])
+def test_height_of_a_column_at_rest(fill, cells):
+    """Fails when the fill of the cell above is left out, or the top is sought from below."""
+    assert surface_height(*column(*fill), DX, LIMIT) == pytest.approx(np.array([[cells * DX]]), abs=1e-18)
+
+
+def test_a_particle_in_flight_does_not_count():
+    """Fails when ``landed`` leaves out the speed."""
+    fraction, speed = column(1.0, 0.8, 0.0, 0.4, 1.0, 0.6, speed=[0.0, SLOW, 0.0, FAST, FAST, FAST])
+    assert surface_height(fraction, speed, DX, LIMIT)[0, 0] == pytest.approx(1.8 * DX)
+    speed[:] = SLOW
+    assert surface_height(fraction, speed, DX, LIMIT)[0, 0] == pytest.approx(5.6 * DX)
+
+
+@pytest.mark.parametrize("fill_above", [0.3, 0.9])
+def test_a_particle_just_above_the_surface_adds_nothing(fill_above):
+    """Fails when ``resting`` counts material in flight, or a cell that is half full or more."""
+    fraction, speed = column(1.0, 1.0, fill_above, 0.0, speed=[SLOW, SLOW, FAST, 0.0])
+    assert surface_height(fraction, speed, DX, LIMIT)[0, 0] == pytest.approx(2.0 * DX)
+
+
+def test_columns_are_independent_and_the_map_is_y_by_x():
+    """Fails when the map is transposed."""
+    nz, ny, nx = 6, 3, 4
+    cells = np.arange(ny * nx).reshape(ny, nx) % 5 + 0.25
+    fraction = np.clip(cells - np.arange(nz)[:, None, None], 0.0, 1.0).astype(np.float32)
+    height = surface_height(fraction, np.zeros_like(fraction), DX, LIMIT)
+    expected = np.where(cells >= 0.5, cells, 0.0) * DX
+    assert height.shape == (ny, nx)
+    np.testing.assert_allclose(height, expected, atol=1e-12)
+
+
+def test_arrays_of_different_shape_are_refused():
+    with pytest.raises(InputError, match=r"speed \(3, 1, 1\)"):
+        surface_height(np.zeros((4, 1, 1)), np.zeros((3, 1, 1)), DX, LIMIT)
+
+
+def test_dense_height_is_volume_over_area():
+    """Fails when pores are counted as material, or the substrate is not taken off."""
+    fraction = np.zeros((10, 2, 2), dtype=np.float32)
+    fraction[:3] = 1.0
+    fraction[5, 0, 0], fraction[6, 1, 1] = 1.0, 0.5
+    assert dense_height(fraction, DX, 3 * DX) == pytest.approx(1.5 / 4 * DX, rel=1e-12)
+    assert dense_height(fraction[:2], DX, 3 * DX) == pytest.approx(-DX)
