@@ -71,7 +71,7 @@ FIELDS: tuple[Field, ...] = (
     _work("sweep_x", "1", "volume (in cells) swept in the step by the low x face of the cell"),
     _work("sweep_y", "1", "volume (in cells) swept in the step by the low y face of the cell"),
     _work("sweep_z", "1", "volume (in cells) swept in the step by the low z face of the cell"),
-    _work("volume_flux", "1", "material volume (in cells) through the low face in the present sweep; heat in conduction"),
+    _work("volume_flux", "1", "material volume (in cells) through the low face in this sweep; heat in conduction"),
     _work("mass_flux", "1", "mass (in full cells) through the low face of the cell in the present sweep"),
     _work("dual_flux", "1", "mass (in full nodes) through the low side of the node in the present sweep"),
 )

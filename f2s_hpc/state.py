@@ -15,8 +15,8 @@ from f2s_hpc.kernels import activity
 class State:
     """All fields of this rank, with ghosts.
 
-    ``views[name]``: local array [k, j, i] of a field; ``flat[name]``: the same memory as one row, as the kernels take it.
-    ``runs``: active rows; ``columns``: active columns for the y and z sweeps.
+    ``views[name]``: local array [k, j, i] of a field; ``flat[name]``: the same memory as one row, as
+    kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps.
     """
 
     def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool) -> None:

@@ -55,8 +55,8 @@ def load_scene(name_or_path: str | os.PathLike, overrides: Sequence[str] = ()) -
 def parse_scene(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene written in ``text`` (TOML, as ``dump_scene`` writes it); ``source`` names it in errors.
 
-    ``overrides`` as in ``load_scene``. Raises InputError like ``load_scene``. CSV files are not looked for: the text may be read back on
-    another machine or after they were moved.
+    ``overrides`` as in ``load_scene``. Raises InputError like ``load_scene``. CSV files are not looked for: the text
+    may be read back on another machine or after they were moved.
     """
     raw = _parse_toml(text, source)
     keys = [_override(raw, override) for override in overrides]

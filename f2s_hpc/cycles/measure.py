@@ -7,10 +7,10 @@ import resource
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.cycles.insert import kinetic_quanta, mass_quanta
 from f2s_hpc.fields import BY_NAME, CELL, STRESS
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import derived
-from f2s_hpc.particles.insert import kinetic_quanta, mass_quanta
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State

@@ -8,6 +8,8 @@ import os
 import pathlib
 import platform
 
+import numpy as np
+
 import f2s_hpc
 from f2s_hpc import mpi
 from f2s_hpc.analysis import picture

@@ -15,8 +15,8 @@ def clock_text(seconds: float) -> str:
 class Progress:
     """Progress lines of rank 0; silent elsewhere.
 
-    ``total_time``, ``done_time``: simulated time of the whole run and at the start of this session (s);
-    ``interval``: wall time between lines (s); ``under_launcher``: started by mpirun. The estimated end counts only this session's pace.
+    ``total_time``, ``done_time``: simulated time of the whole run and at the start of this session (s); ``interval``:
+    wall time between lines (s); ``under_launcher``: started by mpirun. The estimated end counts only this session.
     """
 
     def __init__(self, speaks: bool, total_time: float, done_time: float, interval: float,
@@ -50,8 +50,8 @@ class Progress:
         share = clock.time / self.total_time
         passed = clock.time - self.done_time
         left = (now - self.start) * (self.total_time - clock.time) / passed if passed > 0.0 else 0.0
-        text = (f"cycle {cycle + 1}/{cycles}  {1e9 * clock.in_cycle:7.1f} of {1e9 * duration:.0f} ns  step {clock.steps}"
-                f"  dt {1e12 * clock.dt:.0f} ps ({clock.limit})  fastest {clock.limits.heavy_speed:.0f} m/s"
+        text = (f"cycle {cycle + 1}/{cycles}  {1e9 * clock.in_cycle:7.1f} of {1e9 * duration:.0f} ns"
+                f"  step {clock.steps}  dt {1e12 * clock.dt:.0f} ps ({clock.limit})  fastest {clock.limits.heavy_speed:.0f} m/s"
                 f"  {100.0 * share:5.1f} %  ETA {clock_text(left)}")
         if self.on_terminal:
             bar = ("#" * int(20 * share)).ljust(20, ".")

@@ -12,6 +12,7 @@ from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.cycles.insert import InsertReport, paint_batch, paint_substrate
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import Progress
 from f2s_hpc.cycles.stop import StopRequest
@@ -19,7 +20,6 @@ from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import Batch, BatchPlan
-from f2s_hpc.particles.insert import InsertReport, paint_batch, paint_substrate
 from f2s_hpc.solver.step import Clock, advance
 
 RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
@@ -112,7 +112,7 @@ class Simulation:
     # --- the run ------------------------------------------------------------------------------------
 
     def run(self) -> str:
-        """Run all remaining cycles; return the status: complete or timeout. Raises ``UnstableStep``.
+        """Run all remaining cycles; return the status, complete or timeout. Raises ``UnstableStep``.
 
         Whatever happens, ``summary.json`` tells; after a failure the last checkpoint stands.
         """
@@ -188,13 +188,14 @@ class Simulation:
         self.folder.write_tables(self.rows, self.summary())
         if output.checkpoints or clock.stop:
             self.folder.write_checkpoint(self.state, self.cycle, self._attributes())
+        unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
         t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"
         self.progress.say(
             f"cycle {self.cycle}/{self.scene.cycles.count} done: {row['particles']} particles, dense height "
             f"{1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
-            f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss {100 * row['numerical_loss_fraction']:.1f} %, "
-            f"unexplained {100 * row['energy']['remainder'] / max(row['energy']['brought_in'], 1e-300):.2f} %")
+            f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
+            f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %")
 
     def _frame(self) -> None:
         for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle):

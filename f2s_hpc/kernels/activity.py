@@ -1,9 +1,10 @@
 """Which cells are worth touching: blocks of a grid row that hold material or border on it.
 
 A row (k, j) is divided into blocks of ``BLOCK`` cells. A block is active if it holds a cell that
-material can reach in the step, at most one cell away in any direction, or a node of such a cell; nodes carry the
-index of the cell above them, so the margin is one on the low side and two on the high side.
-Everything outside is void and all its fields are zero, so kernels that skip it give the same bits as kernels that do not.
+material can reach in the step, at most one cell away in any direction, or a node of such a cell;
+nodes carry the index of the cell above them, so the margin is one on the low side and two on the
+high side. Everything outside is void and all its fields are zero, so kernels that skip it give the
+same bits as kernels that do not.
 """
 
 from __future__ import annotations

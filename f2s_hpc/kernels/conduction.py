@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from f2s_hpc._jit import kernel
 
 

@@ -50,9 +50,10 @@ def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shea
     """Rotate the old stress and add the elastic increment over a run of cells.
 
     The gradient is taken at the middle of the step, L (1 + dt L / 2)^-1 to second order; the rotation
-    is the Hughes-Winget (1980) half-step Cayley form of the Jaumann rate, exact in the invariants. Light cells can
-    see gradients that mean nothing; beyond ``largest`` per step the increment is scaled down.
-    ``g``: nine rows of L; ``trial``: six rows; ``mises`` (Pa) and ``strain`` (equivalent increment): rows.
+    is the half-step Cayley form of the Jaumann rate (Hughes and Winget 1980), exact in the invariants.
+    Light cells can see gradients that mean nothing; beyond ``largest`` per step the increment is scaled
+    down. ``g``: nine rows of L; ``trial``: six rows; ``mises`` (Pa) and ``strain`` (equivalent
+    increment): rows.
     """
     for n in range(mises.size):
         norm = 0.0
@@ -177,7 +178,8 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
             old = 0.0
             for b in range(3):
                 old += stress[b][c] * stress[b][c] + 2.0 * stress[b + 3][c] * stress[b + 3][c]
-            plastic, flow_now, _ = return_map(flow, mises[n], bulk.shear_modulus, peeq[c], dt, temperature[c], strain[n])
+            plastic, flow_now, _ = return_map(flow, mises[n], bulk.shear_modulus, peeq[c], dt, temperature[c],
+                                              strain[n])
             ratio = 1.0
             if plastic > 0.0:
                 ratio = flow_now / mises[n]

@@ -18,7 +18,7 @@ def diffusivity(model: Model) -> float:
 
 
 def conduct(state: State, model: Model, dt: float) -> None:
-    """Conduct heat over ``dt``; ghosts of temperature must be valid before and are valid after, but for the last sub-step."""
+    """Conduct heat over ``dt``; ghosts of temperature must be valid before, those after the last sub-step are not."""
     number = diffusivity(model) * dt / model.dx**2
     substeps = max(1, math.ceil(number / LARGEST_NUMBER))
     runs, count = state.runs

@@ -75,4 +75,5 @@ def _refuse_collapse(state: State, model: Model, size: timestep.StepSize, limits
     which = 3 if size.limit == "strain" else 0
     local = (limits.wave, limits.gradient)[which // 3]
     cell = timestep.locate(state, local, size.rates[which], (limits.wave_cell, limits.gradient_cell)[which // 3])
-    raise UnstableStep(f"the time step collapsed to {size.dt:.3g} s, limited by {size.limit}, near cell (i, j, k) = {cell}")
+    raise UnstableStep(f"the time step collapsed to {size.dt:.3g} s, limited by {size.limit}, near cell (i, j, k) = "
+                       f"{cell}")

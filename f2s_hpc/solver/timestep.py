@@ -18,7 +18,7 @@ LIMITS = ("sound", "motion", "strain", "growth", "end of cycle")
 
 @dataclass
 class Limits:
-    """Largest rates of this rank: effective wave speed, speed of light and heavy nodes (m/s), velocity gradient (1/s)."""
+    """Largest rates of this rank: wave speed, speed of light and heavy nodes (m/s), velocity gradient (1/s)."""
 
     wave: float = 0.0
     wave_cell: int = 0

@@ -83,7 +83,7 @@ def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
 
 def _proposal(batch: Batch, index: int, attempt: int, bounds: tuple[float, float, float, float], dx: float,
               generator: np.random.Generator) -> tuple[float, float, float] | None:
-    """Return a new place for a sphere: first straight up by cells, then ever wider around; None if another sphere is there."""
+    """Return a new place for a sphere: first straight up, then ever wider around; None if another sphere is there."""
     bottom, top, width, depth = bounds
     r = batch.r[index]
     if attempt < 6:
