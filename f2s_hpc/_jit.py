@@ -47,9 +47,13 @@ def kernel(function):
     return numba.njit(cache=True, error_model="numpy", fastmath=False, nogil=True)(function)
 
 
-def inlined(function):
-    """Compile a small point function that kernels call, pasted into its callers.
+POINT_OPTIONS = {"error_model": "numpy", "fastmath": False, "forceinline": True}
+"""Compiler options of point functions (also of those chosen by the type of a parameter tuple)."""
 
-    A call that passes arrays costs more than the arithmetic: every array is seven arguments and a reference count.
+
+def inlined(function):
+    """Compile a point function of a few numbers, always pasted into its callers, so that their loops vectorise.
+
+    Give it numbers, not arrays: in a call every array is seven arguments and a reference count.
     """
-    return numba.njit(cache=True, error_model="numpy", fastmath=False, inline="always")(function)
+    return numba.njit(cache=True, **POINT_OPTIONS)(function)

@@ -195,6 +195,9 @@ class Numerics(Section):
                                         description="nodes lighter than this share of a full one exchange momentum")
     light_mass_floor: Number = Field(default=0.05, gt=0, lt=1,
                                      description="least mass that divides a force, over a full node's mass")
+    speed_limit_factor: Number = Field(
+        default=1.15, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
+                                        "its neighbours")
     speed_cap_factor: Number = Field(default=2.0, ge=1,
                                      description="speed cap of light nodes over the largest particle speed")
     conduction: Switch = Field(default=True, description="heat conduction")

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import petsc4py
 
-petsc4py.init([])
+# its own handlers would turn a closed pipe or the signal that asks for a checkpoint into an abort
+petsc4py.init(["-no_signal_handler"])
 from petsc4py import PETSc  # noqa: E402  (PETSc reads its options at import)
 
 from f2s_hpc import mpi  # noqa: E402

@@ -13,69 +13,80 @@ import numpy as np
 from f2s_hpc._jit import kernel
 from f2s_hpc.materials.pressure import pressure, stiffness
 
+W = 64
+"""Cells of a row are worked on in chunks of this many; all scratch rows of a chunk lie in one array at fixed
+distances, so the compiler sees that they do not overlap and vectorises, and they stay in the first cache."""
+
+RATE, TOTAL, COEFFICIENT, VISCOUS, POWER, SPEED, STRESS, LEFT, RIGHT, ROWS = 0, 1, 2, 3, 4, 5, 6, 12, 16, 20
+"""Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous and hourglass power, wave
+speed, six weighted stresses, forces on four left and four right corners."""
+
 
 @kernel
-def row_divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, out):
-    """Velocity divergence (1/s) of a run of cells: ``scale`` = 1 / (4 dx).
+def _divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, s):
+    """Velocity divergence (1/s) of a chunk of cells into scratch row RATE: ``scale`` = 1 / (4 dx).
 
     ``p``, ``q``, ``r``: x, y, z velocity on the four node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1), each one longer
-    than the run. Differences of equal numbers are exactly zero, so a rigid body feels nothing.
+    than the chunk. Differences of equal numbers are exactly zero, so a rigid body feels nothing.
     """
-    for i in range(out.size):
-        du = (pa[i + 1] - pa[i]) + (pb[i + 1] - pb[i]) + (pc[i + 1] - pc[i]) + (pd[i + 1] - pd[i])
-        dv = (qb[i] - qa[i]) + (qb[i + 1] - qa[i + 1]) + (qd[i] - qc[i]) + (qd[i + 1] - qc[i + 1])
-        dw = (rc[i] - ra[i]) + (rc[i + 1] - ra[i + 1]) + (rd[i] - rb[i]) + (rd[i + 1] - rb[i + 1])
-        out[i] = scale * (du + dv + dw)
+    n = pa.size - 1
+    for i in range(n):
+        s[RATE * W + i] = (pa[i + 1] - pa[i]) + (pb[i + 1] - pb[i]) + (pc[i + 1] - pc[i]) + (pd[i + 1] - pd[i])
+    for i in range(n):
+        s[RATE * W + i] += (qb[i] - qa[i]) + (qb[i + 1] - qa[i + 1]) + (qd[i] - qc[i]) + (qd[i + 1] - qc[i + 1])
+    for i in range(n):
+        s[RATE * W + i] += (rc[i] - ra[i]) + (rc[i + 1] - ra[i + 1]) + (rd[i] - rb[i]) + (rd[i + 1] - rb[i + 1])
+    for i in range(n):
+        s[RATE * W + i] *= scale
 
 
 @kernel
-def _row_pressure(mass, fraction, energy, rate, dx, bulk, eos, viscosity, hourglass, total, coefficient, viscous,
-                  speed):
-    """Pressure plus shock viscosity, hourglass coefficient, viscous power and wave speed of a run of cells."""
+def _pressure(mass, fraction, energy, dx, bulk, eos, viscosity, hourglass, s):
+    """Pressure plus shock viscosity, hourglass coefficient, viscous power and wave speed of a chunk of cells."""
     linear, quadratic = viscosity
     shear = 4.0 / 3.0 * bulk.shear_modulus
-    carried = energy.size > 1
-    for i in range(total.size):
-        x = mass[i]
-        e = energy[i] if carried else 0.0
-        full = 1.0 if fraction[i] >= 1.0 else 0.0
-        compression = x if fraction[i] >= 1.0 else 1.0
+    for i in range(mass.size):
+        x, f = mass[i], fraction[i]
+        e = energy[i]
+        full = 1.0 if f >= 1.0 else 0.0
+        compression = x if f >= 1.0 else 1.0
         p = full * pressure(eos, compression, e)
         density = bulk.density * compression
         sound = math.sqrt((stiffness(eos, compression, e) + shear) / density)
-        closing = full * min(rate[i], 0.0)
+        closing = full * min(s[RATE * W + i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening
-        total[i] = p + q
-        coefficient[i] = hourglass * bulk.density * x * sound * dx * dx / 64.0
-        viscous[i] = -fraction[i] * q * closing * dx * dx * dx
+        s[TOTAL * W + i] = p + q
+        s[COEFFICIENT * W + i] = hourglass * bulk.density * x * sound * dx * dx / 64.0
+        s[VISCOUS * W + i] = -f * q * closing * dx * dx * dx
+        s[POWER * W + i] = 0.0
         extra = broadening if closing < 0.0 else 0.0
         fastest = extra + math.sqrt(sound * sound + extra * extra)
-        speed[i] = fastest if x > 0.0 else 0.0
+        s[SPEED * W + i] = fastest if x > 0.0 else 0.0
 
 
 @kernel
-def _weighted(fraction, stress, total, area, out):
-    """Stress times volume fraction and a quarter of the face; ``total`` is taken off where its size is not one."""
-    if total.size == 1:
-        for i in range(out.size):
-            out[i] = area * fraction[i] * stress[i]
-    else:
-        for i in range(out.size):
-            out[i] = area * fraction[i] * (stress[i] - total[i])
+def _weigh(fraction, xx, yy, zz, xy, yz, xz, area, s):
+    """Total stress times volume fraction times a quarter of the face, into six scratch rows."""
+    for i in range(fraction.size):
+        a = area * fraction[i]
+        p = s[TOTAL * W + i]
+        s[STRESS * W + i] = a * (xx[i] - p)
+        s[(STRESS + 1) * W + i] = a * (yy[i] - p)
+        s[(STRESS + 2) * W + i] = a * (zz[i] - p)
+        s[(STRESS + 3) * W + i] = a * xy[i]
+        s[(STRESS + 4) * W + i] = a * yz[i]
+        s[(STRESS + 5) * W + i] = a * xz[i]
 
 
 @kernel
-def _row_component(p00, p10, p01, p11, f00, f10, f01, f11, sx, sy, sz, coefficient, right, power):
-    """Add one component's forces of a run of cells to the four node rows around it.
+def _corner_forces(p00, p10, p01, p11, sx, sy, sz, s):
+    """Forces of a chunk of cells on their eight corners in one component, into eight scratch rows.
 
-    ``p``: that component of velocity, ``f``: of force, on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1), one
-    longer than the run. ``sx``, ``sy``, ``sz``: weighted stress on the x, y, z faces in this component. ``power``
-    collects the hourglass dissipation (W). The forces on the right-hand nodes wait in ``right``
-    and are added in loops of their own, so that all loops vectorise.
+    ``p``: that component of velocity on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1); ``sx``, ``sy``, ``sz``:
+    scratch offsets of the weighted stress on the x, y, z faces. Adds the hourglass dissipation (W) to row POWER.
     """
-    n = coefficient.size
-    for i in range(n):
+    for i in range(p00.size - 1):
         s00, d00 = p00[i] + p00[i + 1], p00[i + 1] - p00[i]
         s10, d10 = p10[i] + p10[i + 1], p10[i + 1] - p10[i]
         s01, d01 = p01[i] + p01[i + 1], p01[i + 1] - p01[i]
@@ -84,26 +95,31 @@ def _row_component(p00, p10, p01, p11, f00, f10, f01, f11, sx, sy, sz, coefficie
         h2 = (d01 - d00) + (d11 - d10)
         h3 = (d10 - d00) + (d11 - d01)
         h4 = (d00 - d10) + (d11 - d01)
-        k = coefficient[i]
-        power[i] += k * (h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4)
+        k = s[COEFFICIENT * W + i]
+        s[POWER * W + i] += k * (h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4)
         h1, h2, h3, h4 = k * h1, k * h2, k * h3, k * h4
-        x, y, z = sx[i], sy[i], sz[i]
-        f00[i] += (x + y + z) - (h1 + h2 + h3 - h4)
-        f10[i] += (x - y + z) - (h2 - h1 - h3 + h4)
-        f01[i] += (x + y - z) - (h3 - h1 - h2 + h4)
-        f11[i] += (x - y - z) - (h1 - h2 - h3 - h4)
-        right[0, i] = (y + z - x) - (h1 - h2 - h3 + h4)
-        right[1, i] = (z - x - y) - (h3 - h1 - h2 - h4)
-        right[2, i] = (y - x - z) - (h2 - h1 - h3 - h4)
-        right[3, i] = -(x + y + z) - (h1 + h2 + h3 + h4)
+        x, y, z = s[sx + i], s[sy + i], s[sz + i]
+        s[LEFT * W + i] = (x + y + z) - (h1 + h2 + h3 - h4)
+        s[(LEFT + 1) * W + i] = (x - y + z) - (h2 - h1 - h3 + h4)
+        s[(LEFT + 2) * W + i] = (x + y - z) - (h3 - h1 - h2 + h4)
+        s[(LEFT + 3) * W + i] = (x - y - z) - (h1 - h2 - h3 - h4)
+        s[RIGHT * W + i] = (y + z - x) - (h1 - h2 - h3 + h4)
+        s[(RIGHT + 1) * W + i] = (z - x - y) - (h3 - h1 - h2 - h4)
+        s[(RIGHT + 2) * W + i] = (y - x - z) - (h2 - h1 - h3 - h4)
+        s[(RIGHT + 3) * W + i] = -(x + y + z) - (h1 + h2 + h3 + h4)
+
+
+@kernel
+def _add_corners(f, left, right, s):
+    """Add the corner forces of a chunk to one node row, right corners first.
+
+    With this order every node of a row takes its two cells' shares in the same sequence wherever the row is cut.
+    """
+    n = f.size - 1
     for i in range(n):
-        f00[i + 1] += right[0, i]
+        f[i + 1] += s[right + i]
     for i in range(n):
-        f10[i + 1] += right[1, i]
-    for i in range(n):
-        f01[i + 1] += right[2, i]
-    for i in range(n):
-        f11[i + 1] += right[3, i]
+        f[i] += s[left + i]
 
 
 @kernel
@@ -128,45 +144,41 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
     Returns the largest effective wave speed (m/s) over the owned cells with material, and its flat cell index.
     """
     ny, nx = shape
-    width = 0
-    for r in range(count):
-        width = max(width, runs[r, 3] - runs[r, 2])
-    weighted, right, rows = np.empty((6, width)), np.empty((4, width)), np.empty((6, width))
-    area, nothing = 0.25 * dx * dx, np.zeros(1)
+    s, nothing = np.empty(ROWS * W), np.zeros(W)
+    area = 0.25 * dx * dx
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     fastest, where = 0.0, 0
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
-        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        if last <= first:
-            continue
-        n = last - first
-        cell = (k * ny + j) * nx + first
-        a = k * plane1 + j * row1 + first
-        b, c, d, m = a + row1, a + plane1, a + plane1 + row1, n + 1
-        rate, total, coefficient, viscous, power, speed = (rows[0, :n], rows[1, :n], rows[2, :n], rows[3, :n],
-                                                           rows[4, :n], rows[5, :n])
-        f = fraction[cell:cell + n]
-        row_divergence(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m],
-                       w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, rate)
-        e = energy[cell:cell + n] if energy.size > 1 else energy
-        _row_pressure(mass[cell:cell + n], f, e, rate, dx, bulk, eos, viscosity, hourglass, total, coefficient,
-                      viscous, speed)
-        for s in range(6):
-            _weighted(f, stress[s][cell:cell + n], total if s < 3 else nothing, area, weighted[s, :n])
-        power[:] = 0.0
-        for axis in range(3):
-            p, g = (u, fx) if axis == 0 else ((v, fy) if axis == 1 else (w, fz))
-            x, y, z = (0, 3, 5) if axis == 0 else ((3, 1, 4) if axis == 1 else (5, 4, 2))
-            _row_component(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], g[a:a + m], g[b:b + m], g[c:c + m],
-                           g[d:d + m], weighted[x, :n], weighted[y, :n], weighted[z, :n], coefficient, right, power)
-        if k < owned[0] or k >= owned[1] or j < owned[2] or j >= owned[3]:
-            continue
-        for i in range(max(owned[4] - first, 0), min(owned[5] - first, n)):
-            sums[0] += np.int64(viscous[i] / power_quantum)
-            sums[1] += np.int64(power[i] / power_quantum)
-            if not speed[i] <= fastest:
-                fastest, where = speed[i], cell + i
+        start, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        counts = owned[0] <= k < owned[1] and owned[2] <= j < owned[3]
+        for first in range(start, last, W):
+            n = min(last - first, W)
+            cell = (k * ny + j) * nx + first
+            a = k * plane1 + j * row1 + first
+            b, c, d, m = a + row1, a + plane1, a + plane1 + row1, n + 1
+            _divergence(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], v[a:a + m], v[b:b + m], v[c:c + m],
+                        v[d:d + m], w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, s)
+            f = fraction[cell:cell + n]
+            e = energy[cell:cell + n] if energy.size > 1 else nothing[:n]
+            _pressure(mass[cell:cell + n], f, e, dx, bulk, eos, viscosity, hourglass, s)
+            _weigh(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
+                   stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
+            for axis in range(3):
+                p, g = (u, fx) if axis == 0 else ((v, fy) if axis == 1 else (w, fz))
+                x, y, z = (0, 3, 5) if axis == 0 else ((3, 1, 4) if axis == 1 else (5, 4, 2))
+                _corner_forces(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], (STRESS + x) * W, (STRESS + y) * W,
+                               (STRESS + z) * W, s)
+                _add_corners(g[a:a + m], LEFT * W, RIGHT * W, s)
+                _add_corners(g[b:b + m], (LEFT + 1) * W, (RIGHT + 1) * W, s)
+                _add_corners(g[c:c + m], (LEFT + 2) * W, (RIGHT + 2) * W, s)
+                _add_corners(g[d:d + m], (LEFT + 3) * W, (RIGHT + 3) * W, s)
+            if counts:
+                for i in range(max(owned[4] - first, 0), min(owned[5] - first, n)):
+                    sums[0] += np.int64(s[VISCOUS * W + i] / power_quantum)
+                    sums[1] += np.int64(s[POWER * W + i] / power_quantum)
+                    if not s[SPEED * W + i] <= fastest:
+                        fastest, where = s[SPEED * W + i], cell + i
     return fastest, where

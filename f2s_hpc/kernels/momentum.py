@@ -11,6 +11,9 @@ from f2s_hpc._jit import kernel
 SMALLEST_VELOCITY = 1e-20
 """Velocities below this (m/s) are rest."""
 
+FAST_STRENGTH = 0.12
+"""Strength of the momentum exchange between a node beyond the speed limit and its neighbours."""
+
 
 @kernel
 def clear_nodes(runs, count, shape, fx, fy, fz):
@@ -96,15 +99,17 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
 
 
 @kernel
-def exchange_light(runs, count, window, shape, strength, limit, nodal, u, v, w, du, dv, dw):
+def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, v, w, du, dv, dw):
     """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
 
-    Every pair of neighbours along an axis, both lighter than ``limit`` full nodes, shares momentum:
-    the pair's lighter mass times ``strength`` times the velocity difference passes from one to the
-    other, so the pair keeps its momentum and no pair overshoots (strength < 1/6).
+    A pair of neighbours along an axis shares momentum if both are lighter than ``limit`` full nodes (with ``strength``),
+    or if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH): the pair's lighter mass times the strength times
+    the velocity difference passes from one to the other, so the pair keeps its momentum and no
+    pair overshoots (strength < 1/6).
     """
     ny, nx = shape
     strides = (1, nx + 1, (nx + 1) * (ny + 1))
+    everywhere = fast < math.inf
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -114,15 +119,19 @@ def exchange_light(runs, count, window, shape, strength, limit, nodal, u, v, w, 
             n = row + i
             du[n], dv[n], dw[n] = 0.0, 0.0, 0.0
             m = nodal[n]
-            if m <= 0.0 or m >= limit:
+            if m <= 0.0 or (m >= limit and not everywhere):
                 continue
+            quick = u[n] * u[n] + v[n] * v[n] + w[n] * w[n] > fast * fast
             for axis in range(3):
                 for side in (-1, 1):
-                    other = nodal[n + side * strides[axis]]
-                    if other <= 0.0 or other >= limit:
-                        continue
-                    share = strength * min(m, other) / m
                     o = n + side * strides[axis]
+                    other = nodal[o]
+                    if other <= 0.0:
+                        continue
+                    pair = strength if m < limit and other < limit else 0.0
+                    if quick or u[o] * u[o] + v[o] * v[o] + w[o] * w[o] > fast * fast:
+                        pair = max(pair, FAST_STRENGTH)
+                    share = pair * min(m, other) / m
                     du[n] += share * (u[o] - u[n])
                     dv[n] += share * (v[o] - v[n])
                     dw[n] += share * (w[o] - w[n])
@@ -131,11 +140,11 @@ def exchange_light(runs, count, window, shape, strength, limit, nodal, u, v, w, 
 @kernel
 def apply_exchange(runs, count, window, shape, limit, cap, weights, density, dx, nodal, u, v, w, du, dv, dw, quantum,
                    mass_quantum, sums):
-    """Add the exchange to light nodes, and cap the speed of those that still race.
+    """Add the exchange to the nodes, and cap the speed of light ones that still race.
 
     ``sums`` int64[4]: kinetic energy taken by the exchange and by the cap (units of ``quantum``),
     nodes capped (count), and their mass (units of ``mass_quantum``, kg). A node of at least
-    ``limit`` full nodes is never touched. Returns the largest speed (m/s) of light and of heavy nodes.
+    ``limit`` full nodes is never capped. Returns the largest speed (m/s) of light and of heavy nodes.
     """
     ny, nx = shape
     full = density * dx * dx * dx
@@ -150,13 +159,8 @@ def apply_exchange(runs, count, window, shape, limit, cap, weights, density, dx,
             n = row + i
             m = nodal[n]
             square = u[n] * u[n] + v[n] * v[n] + w[n] * w[n]
-            if m >= limit:
-                speed = math.sqrt(square)
-                if not speed <= fastest_heavy:
-                    fastest_heavy = speed
-                continue
             inside = plane * weights[0][i] * m
-            if m > 0.0:
+            if du[n] != 0.0 or dv[n] != 0.0 or dw[n] != 0.0:
                 u[n] += du[n]
                 v[n] += dv[n]
                 w[n] += dw[n]
@@ -164,6 +168,10 @@ def apply_exchange(runs, count, window, shape, limit, cap, weights, density, dx,
                 sums[0] += np.int64(0.5 * inside * (square - exchanged) / quantum)
                 square = exchanged
             speed = math.sqrt(square)
+            if m >= limit:
+                if not speed <= fastest_heavy:
+                    fastest_heavy = speed
+                continue
             if speed > cap:
                 u[n] *= cap / speed
                 v[n] *= cap / speed

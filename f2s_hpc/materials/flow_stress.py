@@ -13,12 +13,11 @@ routine, without which the logarithms go negative; Johnson and Cook 1983.
 
 from __future__ import annotations
 
-import math
-
 from numba import types
 from numba.extending import overload
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import POINT_OPTIONS, inlined, kernel
+from f2s_hpc.materials.elementary import exponential, logarithm, power
 from f2s_hpc.materials.params import Elastic, Ge, JohnsonCook, LinearHardening
 
 MAX_ITERATIONS = 80
@@ -29,16 +28,15 @@ _TINY_STRAIN = 1e-300
 
 def _ge_softening(flow, temperature):
     """Thermal factor of the Ge model: a logistic curve, 1 at room temperature, never zero."""
-    cold = 1.0 + math.exp((flow.room_temperature - flow.reference_temperature) * flow.eta)
-    exponent = min((temperature - flow.reference_temperature) * flow.eta, 600.0)
-    return cold / (1.0 + math.exp(exponent))
+    cold = 1.0 + exponential((flow.room_temperature - flow.reference_temperature) * flow.eta)
+    return cold / (1.0 + exponential((temperature - flow.reference_temperature) * flow.eta))
 
 
 def _ge_hardening(flow, eps):
     """Return h, r, dh/deps, dr/deps (Pa) of the Ge model."""
-    power = max(eps, _TINY_STRAIN) ** flow.exponent
-    slope = flow.exponent * power / max(eps, _TINY_STRAIN)
-    return (flow.yield_stress + flow.hardening * power, flow.alpha * power + flow.beta,
+    strained = power(max(eps, _TINY_STRAIN), flow.exponent)
+    slope = flow.exponent * strained / max(eps, _TINY_STRAIN)
+    return (flow.yield_stress + flow.hardening * strained, flow.alpha * strained + flow.beta,
             flow.hardening * slope, flow.alpha * slope)
 
 
@@ -50,14 +48,14 @@ def _ge_rate_terms(flow):
 def _jc_softening(flow, temperature):
     """Thermal factor of Johnson-Cook: 1 - T*^m, 1 below the reference, 0 from melting on."""
     star = (temperature - flow.reference_temperature) / (flow.melting_temperature - flow.reference_temperature)
-    return 1.0 - min(max(star, 0.0), 1.0) ** flow.softening_exponent
+    return 1.0 - power(min(max(star, _TINY_STRAIN), 1.0), flow.softening_exponent)
 
 
 def _jc_hardening(flow, eps):
     """Return h, r, dh/deps, dr/deps (Pa) of Johnson-Cook; its rate factor multiplies the hardening."""
-    power = max(eps, _TINY_STRAIN) ** flow.exponent
-    slope = flow.exponent * power / max(eps, _TINY_STRAIN)
-    stress = flow.yield_stress + flow.hardening * power
+    strained = power(max(eps, _TINY_STRAIN), flow.exponent)
+    slope = flow.exponent * strained / max(eps, _TINY_STRAIN)
+    stress = flow.yield_stress + flow.hardening * strained
     return stress, flow.rate_factor * stress, flow.hardening * slope, flow.rate_factor * flow.hardening * slope
 
 
@@ -113,22 +111,22 @@ def _model_part(flow, part):
     return _MODELS[flow.instance_class][part] if isinstance(flow, types.BaseNamedTuple) else None
 
 
-@overload(softening)
+@overload(softening, jit_options=POINT_OPTIONS)
 def _softening_overload(flow, temperature):
     return _model_part(flow, 0)
 
 
-@overload(hardening)
+@overload(hardening, jit_options=POINT_OPTIONS)
 def _hardening_overload(flow, eps):
     return _model_part(flow, 1)
 
 
-@overload(rate_terms)
+@overload(rate_terms, jit_options=POINT_OPTIONS)
 def _rate_terms_overload(flow):
     return _model_part(flow, 2)
 
 
-@kernel
+@inlined
 def flow_stress(flow, eps, rate, temperature):
     """Return the flow stress and its derivatives in strain and in rate.
 
@@ -141,14 +139,20 @@ def flow_stress(flow, eps, rate, temperature):
     rate_1, rate_2, b = rate_terms(flow)
     stress, slope_strain, slope_rate = h, dh, 0.0
     if rate > rate_1:
-        logarithm = math.log(rate / rate_1)
-        stress += r * logarithm
-        slope_strain += dr * logarithm
+        decades = logarithm(rate / rate_1)
+        stress += r * decades
+        slope_strain += dr * decades
         slope_rate += r / rate
     if rate > rate_2 and b != 0.0:
-        stress += b * math.log(rate / rate_2)
+        stress += b * logarithm(rate / rate_2)
         slope_rate += b / rate
     return theta * stress, theta * slope_strain, theta * slope_rate
+
+
+@inlined
+def static_flow_stress(flow, eps, temperature):
+    """Return the flow stress (Pa) at zero rate: what a trial stress must exceed to flow."""
+    return softening(flow, temperature) * hardening(flow, eps)[0]
 
 
 @kernel
@@ -166,7 +170,7 @@ def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
     Returns (d, flow stress in Pa, iterations); d = 0 and the static flow stress when elastic.
     """
     stiffness = 3.0 * shear_modulus
-    static = softening(flow, temperature) * hardening(flow, eps)[0]
+    static = static_flow_stress(flow, eps, temperature)
     if trial <= static:
         return 0.0, static, 0
     low, high = 0.0, (trial - static) / stiffness
@@ -191,4 +195,4 @@ def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
     return increment, trial - stiffness * increment, MAX_ITERATIONS
 
 
-__all__ = ["MAX_ITERATIONS", "flow_stress", "hardening", "rate_terms", "return_map", "softening"]
+__all__ = ["MAX_ITERATIONS", "flow_stress", "hardening", "rate_terms", "return_map", "softening", "static_flow_stress"]

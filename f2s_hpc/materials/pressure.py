@@ -5,6 +5,7 @@ from __future__ import annotations
 from numba import types
 from numba.extending import overload
 
+from f2s_hpc._jit import POINT_OPTIONS
 from f2s_hpc.materials.params import LinearPressure
 
 
@@ -85,22 +86,22 @@ def _choose(eos, linear, grueneisen):
 
 
 
-@overload(_logarithm, inline="always")
+@overload(_logarithm, jit_options=POINT_OPTIONS)
 def _logarithm_overload(x):
     return _logarithm
 
 
-@overload(pressure)
+@overload(pressure, jit_options=POINT_OPTIONS)
 def _pressure_overload(eos, x, energy):
     return _choose(eos, _linear_pressure, _grueneisen_pressure)
 
 
-@overload(stiffness)
+@overload(stiffness, jit_options=POINT_OPTIONS)
 def _stiffness_overload(eos, x, energy):
     return _choose(eos, _linear_stiffness, _grueneisen_stiffness)
 
 
-@overload(stored_energy)
+@overload(stored_energy, jit_options=POINT_OPTIONS)
 def _stored_energy_overload(eos, x):
     return _choose(eos, _linear_energy, _grueneisen_energy)
 

@@ -46,8 +46,10 @@ def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
     state.exchange(VELOCITY)
 
 
-def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float, float]:
-    """Exchange momentum between light neighbours and cap racing fragments.
+def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float) -> tuple[float, float]:
+    """Exchange momentum between light neighbours and around nodes beyond the speed limit; cap racing fragments.
+
+    ``fastest``: largest speed of the last step over all ranks; far below the limit, nobody looks for fast nodes.
 
     Returns the largest speed (m/s) of light nodes and of heavy nodes on this rank.
     """
@@ -55,7 +57,8 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     nodal = state.flat["nodal_mass"]
-    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit,
+    fast = s.speed_limit if fastest > 0.8 * s.speed_limit else math.inf
+    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit, fast,
                             nodal, *state.velocity, *state.force)
     sums = np.zeros(4, dtype=np.int64)
     speeds = momentum.apply_exchange(

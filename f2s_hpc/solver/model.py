@@ -20,6 +20,7 @@ class Settings(NamedTuple):
     exchange_mass_limit: float  # full nodes
     light_mass_floor: float  # full nodes
     speed_cap: float  # m/s, for nodes lighter than exchange_mass_limit
+    speed_limit: float  # m/s, beyond which any node exchanges momentum with its neighbours
     conduction: bool
     second_order: bool
     dust: float  # full cells

@@ -54,7 +54,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     ledger.add_power("hourglass_power", power[1], dt)
 
     lagrange.kick(state, model, dt, ledger)
-    limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
+    limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(
+        state, model, ledger, max(size.rates[1], size.rates[2]))
     if model.settings.conduction:
         heat.conduct(state, model, dt)
     limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger)

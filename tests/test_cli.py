@@ -1,0 +1,313 @@
+"""The command ``f2s``: what it prints, what it refuses and how, and what a run leaves behind."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pathlib
+import re
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from conftest import launch
+
+from f2s_hpc import mpi
+from f2s_hpc.cli.main import main
+from f2s_hpc.config import load_scene, scene_hash, scene_names
+from f2s_hpc.particles.batch import make_batches, read_csv
+from f2s_hpc.solver.ledger import ENERGY_TERMS
+
+SCENE = """
+title = "Two spheres"
+
+[domain]
+size = ["36 um", "40 um", "72 um"]
+cell_size = "4 um"
+substrate_height = "16 um"
+particle_layer_height = "56 um"
+
+[material]
+name = "copper-ge"
+
+[particles]
+speed = "615 m/s"
+temperature = "450 degC"
+
+[batches]
+spheres = [["14 um", "15 um", "11 um", "10 um"], ["25 um", "28 um", "37 um", "9 um"]]
+
+[cycles]
+count = 1
+duration = "15 ns"
+"""
+
+SUMMARY_KEYS = (
+    "status", "ranks", "cells", "steps", "time_s", "wall_s", "active_cell_steps", "active_cell_steps_per_s",
+    "peak_memory_bytes", "particles", "painted_volume_m3", "mass_drift_relative", "mass_left_kg", "mass_capped_kg",
+    "dense_height_m", "height_mean_m", "height_p95_m", "height_max_m", "speed_max_heavy_m_s", "peeq_p50",
+    "peeq_p95", "peeq_max", "temperature_p50_degC", "temperature_p95_degC", "energy", "numerical_loss_fraction",
+)
+
+
+@pytest.fixture
+def workplace(shared_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> pathlib.Path:
+    """Make a folder shared by all ranks, with a scene in it, the current one."""
+    if mpi.is_root():
+        (shared_path / "two.toml").write_text(SCENE, encoding="utf-8")
+        (shared_path / "bad.csv").write_text("x,y,z,r\n0.01,0.01,0.02,0.005\n0.02,oops,0.02,0.005\n", encoding="ascii")
+        (shared_path / "outside.csv").write_text("x,y,z,r\n0.01,0.01,0.9,0.005\n", encoding="ascii")
+    mpi.barrier()
+    monkeypatch.chdir(shared_path)
+    return shared_path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[pathlib.Path, str]:
+    """Return the folder of a small run on 2 ranks, started as ``python -m f2s_hpc``, and what it printed."""
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "two.toml").write_text(SCENE, encoding="utf-8")
+    done = launch([sys.executable, "-m", "f2s_hpc", "run", "two.toml", "--set", "cycles.duration=20 ns"], 2, folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder / "runs" / "two", done.stdout
+
+
+def snapshot(folder: pathlib.Path) -> list[tuple[str, int]]:
+    return sorted((str(path.relative_to(folder)), path.stat().st_mtime_ns) for path in folder.rglob("*"))
+
+
+# --- scenes and check -----------------------------------------------------------------------------------
+
+
+def test_scenes_lists_all_built_in_scenes(capsys):
+    assert main(["scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(scene_names())
+    assert {"splat", "section4", "section4-standard", "quickstart"} <= set(scene_names())
+    assert all(len(line.split()) > 3 for line in lines)
+
+
+@pytest.mark.parametrize("name", ["splat", "section4", "section4-standard", "quickstart"])
+def test_a_printed_scene_loads_as_the_scene(capsys, tmp_path, name):
+    assert main(["scenes", name]) == 0
+    path = tmp_path / "edited.toml"
+    path.write_text(capsys.readouterr().out, encoding="utf-8")
+    assert scene_hash(load_scene(path)) == scene_hash(load_scene(name))
+
+
+def test_an_unknown_scene_is_refused_with_a_suggestion(capsys):
+    assert main(["scenes", "quikstart"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.splitlines() == ['no built-in scene "quikstart"; did you mean "quickstart"?']
+
+
+@pytest.mark.mpi
+def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
+    before = snapshot(workplace)
+    assert main(["check", "two.toml", "--set", "cycles.duration=40 ns"]) == 0
+    out, err = capsys.readouterr()
+    assert not err
+    assert mpi.is_root() or not out
+    if mpi.is_root():
+        facts = dict(re.findall(r"^# ([a-z ]+?)  +(.+)$", out, re.MULTILINE))
+        assert facts["cells"] == "9 x 10 x 18 = 1,620 of 4 um"
+        assert facts["ranks"] == str(mpi.size())
+        spread = re.search(r"\(([\d,]+) to ([\d,]+)\)", facts["cells per rank"])
+        counts = [int(n.replace(",", "")) for n in spread.groups()]
+        assert counts[0] <= 1620 / mpi.size() <= counts[1]
+        sound = float(re.search(r"(\d+) m/s", facts["time step"])[1])
+        number, unit = re.search(r"about ([\d.]+) (ps|ns)", facts["time step"]).groups()
+        step = float(number) * {"ps": 1e-12, "ns": 1e-9}[unit]
+        assert math.isclose(step, 0.5 * 4e-6 / (1.07 * sound), rel_tol=0.01)
+        assert abs(int(re.search(r"\d+", facts["steps"])[0]) - 40e-9 / step) < 2
+        for name in ("memory", "frames", "checkpoints"):
+            assert re.search(r"\d (KiB|MiB|kB|MB|B)\b", facts[name]), facts[name]
+        scene = tomllib.loads(out)
+        assert scene["domain"]["cell_size"] == "4 um"
+        assert scene["numerics"]["courant"] == 0.5
+    mpi.barrier()
+    assert snapshot(workplace) == before
+
+
+# --- bad input ------------------------------------------------------------------------------------------
+
+BAD = {
+    "unknown key": (["--set", "domain.cel_size=3 um"], ["domain.cel_size", 'did you mean "domain.cell_size"']),
+    "wrong unit": (["--set", "particles.speed=615 um"], ["particles.speed", "615 um"]),
+    "no unit": (["--set", "domain.cell_size=3"], ["domain.cell_size", "um"]),
+    "impossible box": (["--set", "domain.substrate_height=1 mm"], ["domain.substrate_height", "lower than the box"]),
+    "layer too high": (["--set", "domain.particle_layer_height=70 um"], ["domain.particle_layer_height", "56 um"]),
+    "missing file": (["--set", 'batches.files=["none.csv"]'], ["batches.files", "none.csv"]),
+    "bad row": (["--set", 'batches.files=["bad.csv"]'], ["bad.csv", "row 2", "oops"]),
+    "sphere outside": (["--set", 'batches.files=["outside.csv"]'], ["outside.csv", "row 1", "0.9"]),
+    "no equals sign": (["--set", "domain.cell_size"], ["--set domain.cell_size", "key=value"]),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize("wrong", list(BAD))
+def test_bad_input_is_one_line_and_nothing_is_written(capsys, workplace, command, wrong):
+    """The same exit code on every rank, one line from rank 0.
+
+    Fails if an input error passes ``mpi.run_together`` on rank 0 only (the others would wait for ever), or if the
+    folder is made before the scene is checked (``cli/tasks.py:run``).
+    """
+    extra, words = BAD[wrong]
+    before = snapshot(workplace)
+    mpi.barrier()
+    assert main([command, "two.toml", *extra]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    if mpi.is_root():
+        assert len(err.splitlines()) == 1
+        for word in words:
+            assert word in err
+    else:
+        assert not err
+    mpi.barrier()
+    assert snapshot(workplace) == before
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_box_too_small_for_the_ranks_is_refused(capsys, workplace, command):
+    """Fails if ``decomposition_fits`` is left out of ``tasks.run``: the folder would be there."""
+    size = 'domain.size=["20 um","20 um","20 um"]'
+    arguments = ["--set", size, "--set", "domain.substrate_height=4 um", "--set", "domain.particle_layer_height=12 um",
+                 "--set", 'batches.spheres=[["10 um","10 um","6 um","5 um"]]', "--set", "cycles.duration=1 ns"]
+    before = snapshot(workplace)
+    if mpi.size() == 1:
+        # 5 x 5 x 5 cells are enough for one rank, 2 x 2 x 2 for none
+        arguments += ["--set", "domain.cell_size=10 um", "--set", "domain.substrate_height=8 um"]
+    mpi.barrier()
+    assert main([command, "two.toml", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    if mpi.is_root():
+        assert len(err.splitlines()) == 1
+        assert "5 x 5 x 5" in err or "2 x 2 x 2" in err
+        assert "fewer ranks or smaller cells" in err
+    mpi.barrier()
+    assert snapshot(workplace) == before
+
+
+def test_mpirun_gets_the_exit_code_of_bad_input(tmp_path):
+    (tmp_path / "two.toml").write_text(SCENE.replace("cell_size", "cellsize"), encoding="utf-8")
+    done = launch([sys.executable, "-m", "f2s_hpc", "run", "two.toml"], 3, tmp_path, timeout=120)
+    assert done.returncode == 2
+    said = [line for line in done.stderr.splitlines() if "two.toml" in line]
+    assert len(said) == 1
+    assert "cellsize" in said[0]
+    assert 'did you mean "domain.cell_size"' in said[0]
+    assert "Traceback" not in done.stderr
+    assert os.listdir(tmp_path) == ["two.toml"]
+
+
+def test_an_unknown_command_is_refused(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["runn", "quickstart"])
+    assert stop.value.code == 2
+    assert "runn" in capsys.readouterr().err
+
+
+# --- particles ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_particles_writes_the_batches_that_a_run_would_use(capsys, workplace):
+    """Fails if ``write_csv`` rounds, or if ``tasks.write_particles`` draws from another seed."""
+    assert main(["particles", "quickstart", "--set", "batches.seed=5", "--out", "out"]) == 0
+    out, err = capsys.readouterr()
+    assert not err
+    plan = make_batches(load_scene("quickstart", ["batches.seed=5"]))
+    mpi.barrier()
+    files = sorted((workplace / "out").iterdir())
+    assert [path.name for path in files] == ["batch-01.csv", "batch-02.csv", "batch-03.csv"]
+    for path, batch in zip(files, plan.batches):
+        found = read_csv(path)
+        assert all(np.array_equal(getattr(found, n), getattr(batch, n)) for n in "xyzr")
+    if mpi.is_root():
+        assert "order of batches over the cycles: " + " ".join(str(b + 1) for b in plan.order) in out
+    mpi.barrier()
+    assert main(["particles", "quickstart", "--out", "out"]) == 2
+    assert (not mpi.is_root()) or "not empty" in capsys.readouterr().err
+
+
+# --- a run ----------------------------------------------------------------------------------------------
+
+
+def test_a_run_leaves_a_summary_with_every_key(finished):
+    summary = json.loads((finished[0] / "summary.json").read_text(encoding="utf-8"))
+    assert not [key for key in SUMMARY_KEYS if key not in summary]
+    assert summary["status"] == "complete"
+    assert (summary["ranks"], summary["cells"], summary["particles"]) == (2, 1620, 2)
+    assert math.isclose(summary["time_s"], 20e-9, rel_tol=1e-12)
+    assert set(summary["energy"]) == set(ENERGY_TERMS)
+    volume = 4.0 / 3.0 * math.pi * (10e-6**3 + 9e-6**3)
+    assert math.isclose(summary["painted_volume_m3"], volume, rel_tol=1e-12)
+    assert math.isclose(summary["dense_height_m"], volume / (36e-6 * 40e-6), rel_tol=1e-6)
+    assert 0.3 < summary["peeq_max"] < 8.0
+    assert 500.0 < summary["speed_max_heavy_m_s"] < 1.3 * 615.0
+    assert summary["peak_memory_bytes"] > 2e7
+    rate = summary["active_cell_steps"] / summary["wall_s"]
+    assert math.isclose(summary["active_cell_steps_per_s"], rate, rel_tol=0.01)
+
+
+def test_a_run_names_only_what_it_has_written(finished, tmp_path):
+    """Fails if the last line promises a picture that the scene did not ask for."""
+    def named(text: str) -> list[str]:
+        return re.findall(r"\S+\.(?:json|csv|vtkhdf|png)", text.splitlines()[-1])
+
+    folder, said = finished
+    assert {pathlib.Path(name).name for name in named(said)} == {"summary.json", "summary.csv", "deposit.vtkhdf",
+                                                                "deposit.png"}
+    root = folder.parents[1]
+    assert all((root / name).is_file() for name in named(said))
+    done = launch([sys.executable, "-m", "f2s_hpc", "run", str(root / "two.toml"), "--out", "plain", "--set",
+                   "output.picture=false", "--set", "output.frames=none", "--set", "cycles.duration=1 ns"], 1, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert not [name for name in named(done.stdout) if not (tmp_path / name).is_file()], done.stdout
+
+
+def test_the_folder_of_a_run_holds_its_scene_and_its_batch(finished):
+    folder, _ = finished
+    scene = load_scene(folder / "scene.toml")
+    assert scene_hash(scene) == scene_hash(load_scene(folder.parents[1] / "two.toml", ["cycles.duration=20 ns"]))
+    batch = read_csv(folder / "batches" / "batch-001.csv")
+    assert batch.count == 2
+    assert np.allclose(batch.r, [10e-6, 9e-6], rtol=1e-14)
+    assert (folder / "deposit.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_inspect_prints_the_cycle_table(capsys, finished):
+    assert main(["inspect", str(finished[0])]) == 0
+    out, err = capsys.readouterr()
+    assert not err
+    lines = out.splitlines()
+    assert lines[0] == "Two spheres: complete, 2 particles, 2 ranks"
+    assert any("dense" in line and "PEEQ" not in line for line in lines)
+    rows = [line.split() for line in lines if re.match(r"\s*1\s", line)]
+    summary = json.loads((finished[0] / "summary.json").read_text(encoding="utf-8"))
+    assert len(rows) == 1
+    assert rows[0][1:3] == ["0.020", str(summary["steps"])]
+    assert f"{1e6 * summary['dense_height_m']:.1f}" in rows[0]
+
+
+def test_inspect_and_compare_refuse_what_is_no_run(capsys, tmp_path):
+    assert main(["inspect", str(tmp_path)]) == 2
+    assert "summary.json" in capsys.readouterr().err
+    assert main(["compare", str(tmp_path), str(tmp_path / "none")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_run_under_mpirun_prints_plain_lines_once(finished):
+    """Every line comes from one rank, and there is no bar where there is no terminal."""
+    said = finished[1]
+    assert "\r" not in said
+    assert "\033" not in said
+    assert len(re.findall(r"cycle 1/1 done", said)) == 1
+    assert "on 2 ranks" in said

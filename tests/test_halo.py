@@ -1,0 +1,182 @@
+"""Decomposition and ghosts: every ghost is what its global index says, on any number of ranks and any process grid."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from solver_setup import ALL_SYMMETRY, STANDARD_SIDES
+
+from f2s_hpc import mpi
+from f2s_hpc.errors import InputError
+from f2s_hpc.fields import BY_NAME, CELL, VELOCITY
+from f2s_hpc.grid.box import GHOST, SIDES, Box
+from f2s_hpc.grid.decomposition import Decomposition, process_grid
+from f2s_hpc.state import State
+
+CELLS = (13, 14, 17)
+MIXED = dict(zip(SIDES, ("symmetry", "outflow", "free", "fixed", "outflow", "free")))
+
+
+def process_grids():
+    """Return all process grids of as many ranks as there are that leave slabs of at least ``GHOST`` cells."""
+    ranks = mpi.size()
+    return [grid for grid in product(range(1, ranks + 1), repeat=3)
+            if np.prod(grid) == ranks and all(n // p >= GHOST for n, p in zip(CELLS, grid))]
+
+
+def value_at(name, i, j, k):
+    """Return a number, different for all fields and places, that float64 holds exactly."""
+    return ((list(BY_NAME).index(name) * 64.0 + k) * 64.0 + j) * 64.0 + i + 1.0
+
+
+def source(index, count, on_nodes, low, high, sign):
+    """Return where ghosts of one axis come from and the factor they take, after the sides' rules."""
+    last = count if on_nodes else count - 1
+    of, factor = index.copy(), np.ones(index.size)
+    for outside, kind, edge, image in ((index < 0, low, 0, -index - (0 if on_nodes else 1)),
+                                       (index > last, high, last, 2 * last - index + (0 if on_nodes else 1))):
+        if kind in ("symmetry", "fixed"):
+            of, factor = np.where(outside, image, of), np.where(outside, sign, factor)
+        else:
+            of = np.where(outside, edge, of)
+            factor = np.where(outside, 0.0 if kind == "free" and not on_nodes else 1.0, factor)
+    return of, factor
+
+
+def expected(state, name):
+    """Return the field's local array, ghosts included, from the global indices."""
+    field, part = BY_NAME[name], state.part
+    on_nodes = field.location != CELL
+    shape = part.node_shape if on_nodes else part.cell_shape
+    places, factors = [], []
+    for axis, side in enumerate(("x", "y", "z")):
+        index = np.arange(shape[2 - axis]) - GHOST + part.start[axis]
+        kinds = state.boundary.kinds
+        of, factor = source(index, part.box.cells[axis], on_nodes, kinds[f"{side}_low"], kinds[f"{side}_high"],
+                            field.mirror_sign[axis])
+        places.append(of.astype(float))
+        factors.append(factor)
+    k, j, i = np.meshgrid(places[2], places[1], places[0], indexing="ij")
+    return value_at(name, i, j, k) * np.einsum("k,j,i->kji", *factors[::-1])
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("sides", [ALL_SYMMETRY, STANDARD_SIDES, MIXED], ids=["mirrors", "standard", "mixed"])
+def test_ghosts_are_what_their_global_index_says(sides):
+    """All fields, all process grids of this many ranks: faces, edges, corners, mirror signs, copies and voids.
+
+    Fails when ``BOX`` of the DMDAs becomes ``STAR``, a mirror sign of :data:`f2s_hpc.fields.FIELDS` is turned, or
+    ``layer - 1`` of ``fill_side`` becomes ``layer``.
+    """
+    for grid in process_grids():
+        state = State(Decomposition(Box(CELLS, 1e-6), grid), sides, True)
+        part = state.part
+        for name in state.ghosted:
+            state.views[name][...] = np.nan
+            state.owned(name)[...] = expected(state, name)[
+                part.owned_cells if BY_NAME[name].location == CELL else part.owned_nodes]
+        state.exchange(state.ghosted)
+        for name in state.ghosted:
+            wanted, found = expected(state, name), state.views[name]
+            if BY_NAME[name].location != CELL:
+                # on inner ranks the node arrays have a spare layer, so that they have one size on all ranks
+                natural = tuple(slice(0, n + 2 * GHOST) for n in part.node_count[::-1])
+                wanted, found = wanted[natural], found[natural]
+            assert np.array_equal(found, wanted), (grid, name)
+
+
+@pytest.mark.mpi
+def test_exchange_touches_only_the_named_fields():
+    """Fails when ``Pool._build`` runs over ``self.names``."""
+    state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, False)
+    for name in state.ghosted:
+        state.views[name][...] = np.nan
+        state.owned(name)[...] = 1.0
+    state.exchange(("mass", "velocity_y"))
+    for name in state.ghosted:
+        assert np.isnan(state.views[name]).any() == (name not in ("mass", "velocity_y") or name == "velocity_y" and not all(
+            state.part.at_high))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cells", [CELLS, (12, 12, 12), (31, 13, 14)])
+def test_every_cell_and_node_has_one_owner(cells):
+    """Fails when ``node_ranges`` gives its extra node to the first rank."""
+    for location in ("cell", "node"):
+        part = Decomposition(Box(cells, 1e-6)).part
+        count = part.count if location == "cell" else part.node_count
+        owned = np.zeros(tuple(n + (location == "node") for n in cells[::-1]), dtype=np.int64)
+        owned[tuple(slice(s, s + n) for s, n in zip(part.start[::-1], count[::-1]))] = 1
+        assert (mpi.total(owned) == 1).all()
+        assert min(part.count) >= GHOST
+
+
+@pytest.mark.mpi
+def test_walls_hold_their_velocities():
+    """Normal velocity on mirrors, all on fixed sides, none on open ones; the share of the planes inside the box.
+
+    Fails when ``free_motion[axis, axis, wall]`` becomes ``free_motion[axis, :, wall]``.
+    """
+    state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, False)
+    for name in VELOCITY:
+        state.views[name][...] = 1.0
+    state.boundary.hold([state.views[name] for name in VELOCITY])
+    low, high = state.part.at_low, state.part.at_high
+    # x_low is a mirror, y_high is fixed, z is open
+    assert (state.owned("velocity_x")[:, :-1, 0] == (0.0 if low[0] else 1.0)).all()
+    assert (state.owned("velocity_y")[:, :-1, 0] == 1.0).all()
+    for name in VELOCITY:
+        assert (state.owned(name)[:, -1, 1:] == (0.0 if high[1] else 1.0)).all()
+        assert (state.owned(name)[:, :-1, 1:] == 1.0).all()
+    weights = [w[GHOST:GHOST + n] for w, n in zip(state.boundary.weights, state.part.node_count)]
+    assert weights[0][0] == (0.5 if low[0] else 1.0)
+    assert weights[1][0] == 1.0
+    assert weights[1][-1] == (0.5 if high[1] else 1.0)
+    assert weights[2][0] == (0.5 if low[2] else 1.0)
+    assert weights[2][-1] == 1.0
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cells", [(2, 50, 50), (50, 50, 2), (1, 1, 1)])
+def test_a_box_thinner_than_the_ghosts_is_refused_on_all_ranks(cells):
+    """Fails when ``n // p < GHOST`` of ``process_grid`` becomes ``n // p < 1``."""
+    refused = False
+    try:
+        Decomposition(Box(cells, 1e-6))
+    except InputError as error:
+        refused = True
+        assert "x".join(map(str, cells)) in str(error).replace(" ", "")
+        assert error.exit_code == 2
+        assert "\n" not in str(error)
+    assert mpi.all_gather(refused) == [True] * mpi.size()
+
+
+@pytest.mark.mpi
+def test_a_process_grid_with_thin_slabs_is_refused():
+    """Fails without the check of ``min(r) < GHOST``."""
+    with pytest.raises(InputError, match="thinner than 3 cells"):
+        Decomposition(Box((2 * mpi.size(), 9, 9), 1e-6), (mpi.size(), 1, 1))
+
+
+@pytest.mark.parametrize(("cells", "ranks", "grid"), [
+    ((117, 117, 200), 1, (1, 1, 1)),
+    ((117, 117, 200), 4, (2, 2, 1)),
+    ((117, 117, 200), 16, (4, 4, 1)),
+    ((300, 30, 200), 4, (4, 1, 1)),
+    ((30, 300, 200), 4, (1, 4, 1)),
+    ((200, 100, 400), 8, (4, 2, 1)),
+    ((6, 7, 400), 8, (2, 2, 2)),
+    ((3, 3, 40), 5, (1, 1, 5)),
+])
+def test_process_grids_have_the_smallest_surface_and_whole_columns(cells, ranks, grid):
+    """Fails when ``shape[2]`` is left out of ``rating``, or ``surface`` is."""
+    assert process_grid(Box(cells, 1e-6), ranks) == grid
+
+
+@pytest.mark.parametrize(("cells", "ranks"), [((5, 5, 5), 2), ((9, 9, 9), 64), ((30, 3, 3), 11), ((30, 30, 30), 11)])
+def test_too_many_ranks_are_refused_with_a_way_out(cells, ranks):
+    """11 ranks need one axis of 33 cells; fails when ``best is None`` falls through to ``(ranks, 1, 1)``."""
+    with pytest.raises(InputError, match=f"{ranks} blocks of at least 3 cells a side; use fewer ranks"):
+        process_grid(Box(cells, 1e-6), ranks)

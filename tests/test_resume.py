@@ -1,0 +1,199 @@
+"""Stop anywhere, go on with any number of ranks: the same bits as a run that never stopped."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from conftest import ROOT, launch
+
+from f2s_hpc.doctor import launch_environment
+from f2s_hpc.io import layout, runs
+from f2s_hpc.io.checkpoint import list_checkpoints
+
+REQUEUE = 75
+F2S = (sys.executable, "-m", "f2s_hpc")
+
+SCENE = """
+title = "Impacts in a small box"
+
+[domain]
+size = ["90 um", "102 um", "180 um"]
+cell_size = "6 um"
+substrate_height = "36 um"
+particle_layer_height = "144 um"
+
+[material]
+name = "copper-ge"
+
+[particles]
+speed = "615 m/s"
+temperature = "450 degC"
+
+[batches]
+count = 2
+particles = 16
+seed = 3
+diameter_d10 = "20 um"
+diameter_d50 = "30 um"
+diameter_d90 = "42 um"
+diameter_min = "14 um"
+diameter_max = "48 um"
+
+[cycles]
+count = 2
+duration = "60 ns"
+
+[output]
+picture = false
+frame_interval = "25 ns"
+"""
+
+
+def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run f2s; its exit code must be ``code``."""
+    done = launch([*F2S, *map(str, arguments)], ranks, cwd)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+def interrupted(arguments: list[object], ranks: int, cwd: pathlib.Path, when: str) -> tuple[int, str]:
+    """Run f2s, send SIGUSR1 when a printed line matches ``when``; return the exit code and what was printed."""
+    variables = launch_environment(os.environ) | {"OMPI_MCA_hwloc_base_binding_policy": "none"}
+    variables["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    command = [*(["mpirun", "-n", str(ranks)] if ranks > 1 else []), *F2S, *map(str, arguments)]
+    process = subprocess.Popen(command, cwd=cwd, env=variables, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                               stderr=subprocess.STDOUT, text=True)
+    watchdog = threading.Timer(300, process.terminate)
+    watchdog.start()
+    lines = []
+    for line in process.stdout:
+        lines.append(line)
+        if when and re.match(when, line):
+            # mpirun passes the signal on to all its ranks
+            process.send_signal(signal.SIGUSR1)
+            when = ""
+    watchdog.cancel()
+    return process.wait(), "".join(lines)
+
+
+@pytest.fixture(scope="module")
+def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+    """Return the folder of the run that was left alone."""
+    folder = tmp_path_factory.mktemp("resume")
+    (folder / "impacts.toml").write_text(SCENE, encoding="utf-8")
+    f2s("run", "impacts.toml", "--out", "whole", ranks=2, cwd=folder)
+    assert runs.read_summary(folder / "whole")["peeq_max"] > 0.3
+    return folder / "whole"
+
+
+@pytest.fixture(scope="module")
+def stopped_twice(never_stopped: pathlib.Path) -> pathlib.Path:
+    """Return a run stopped by its wall-time budget in cycle 1, resumed, and stopped by a signal in cycle 2."""
+    folder = never_stopped.parent
+    done = f2s("run", "impacts.toml", "--out", "stopped", "--set", "run.wall_time=1 ms", cwd=folder, code=REQUEUE)
+    assert "wall-time budget" in done.stdout
+    summary = runs.read_summary(folder / "stopped")
+    assert summary["status"] == "timeout"
+    assert summary["cycles"] == 0
+    assert 0 < summary["steps"] < 10
+    go_on = ["resume", "stopped", "--set", "run.wall_time=1 h", "--set", "output.progress_seconds=1 ms"]
+    code, said = interrupted(go_on, 2, folder, r"cycle 2/2 .* 2\d\.\d of 60 ns")
+    assert code == REQUEUE, said
+    assert "signal SIGUSR1" in said
+    return folder / "stopped"
+
+
+def checkpoint_key(path: pathlib.Path) -> tuple[int, int]:
+    return layout.checkpoint_key(path.name)[:2]
+
+
+def test_a_stopped_run_says_where_it_is(stopped_twice, never_stopped):
+    summary, whole = runs.read_summary(stopped_twice), runs.read_summary(never_stopped)
+    assert summary["status"] == "timeout"
+    assert summary["cycles"] == 1
+    assert 0.5 * whole["steps"] < summary["steps"] < whole["steps"]
+    assert 60e-9 < summary["time_s"] < 120e-9
+    # the newest checkpoint is the one of the stop, in the middle of cycle 2, the other the end of cycle 1
+    last = list_checkpoints(stopped_twice / layout.CHECKPOINTS)[-2:]
+    assert checkpoint_key(last[1]) == (1, summary["steps"])
+    assert checkpoint_key(last[0])[1] < summary["steps"]
+
+
+def test_resumed_on_another_number_of_ranks_it_ends_in_the_same_bits(stopped_twice, never_stopped, tmp_path):
+    """Fails if anything that the next step reads is not saved: drop ``"dt"`` or ``"limits"`` in ``_attributes``.
+
+    Both in ``cycles/simulation.py``; or restore the velocity without ``state.exchange``.
+    """
+    copy = tmp_path / "copy"
+    shutil.copytree(stopped_twice, copy)
+    said = f2s("resume", copy, ranks=3, cwd=tmp_path).stdout
+    steps = runs.read_summary(stopped_twice)["steps"]
+    assert f"_step_{steps:08d}.h5" in said
+    summary = runs.read_summary(copy)
+    assert summary["status"] == "complete"
+    assert summary["ranks"] == 3
+    assert "identical in every saved bit" in f2s("compare", never_stopped, copy, "--exact", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize("damage", ["flipped byte", "cut off"])
+def test_a_damaged_checkpoint_is_passed_over(stopped_twice, never_stopped, tmp_path, damage):
+    """Fails if ``newest_valid_checkpoint`` trusts the newest file: return ``paths[-1]`` without verifying."""
+    copy = tmp_path / "copy"
+    shutil.copytree(stopped_twice, copy)
+    older, newest = list_checkpoints(copy / layout.CHECKPOINTS)[-2:]
+    content = bytearray(newest.read_bytes())
+    if damage == "cut off":
+        del content[len(content) // 2:]
+    else:
+        content[len(content) // 2] ^= 4
+    newest.write_bytes(content)
+    said = f2s("resume", copy, cwd=tmp_path).stdout
+    assert f"resuming from {older}" in said
+    assert any(newest.name in line for line in said.splitlines() if "resuming" not in line)
+    assert runs.read_summary(copy)["status"] == "complete"
+    # what is left of the damaged file is no result
+    newest.unlink()
+    newest.with_suffix(".json").unlink()
+    assert "identical in every saved bit" in f2s("compare", never_stopped, copy, "--exact", cwd=tmp_path).stdout
+
+
+def test_resuming_a_finished_run_changes_nothing(never_stopped, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(never_stopped, copy)
+    said = f2s("resume", copy, cwd=tmp_path).stdout
+    assert "complete" in said
+    cycles = [tuple(map(int, pair)) for pair in re.findall(r"cycle (\d+) of (\d+)", said)]
+    assert all(number <= of for number, of in cycles), said
+    assert runs.read_summary(copy)["status"] == "complete"
+    assert runs.read_cycle_table(copy) == runs.read_cycle_table(never_stopped)
+    assert "identical in every saved bit" in f2s("compare", never_stopped, copy, "--exact", cwd=tmp_path).stdout
+
+
+def test_a_used_folder_is_refused(never_stopped):
+    """Fails if ``prepare_run_folder`` takes a folder with checkpoints in it."""
+    before = {path: path.stat().st_mtime_ns for path in never_stopped.rglob("*")}
+    done = f2s("run", "impacts.toml", "--out", "whole", cwd=never_stopped.parent, code=2)
+    assert len(done.stderr.splitlines()) == 1
+    assert "f2s resume" in done.stderr
+    assert before == {path: path.stat().st_mtime_ns for path in never_stopped.rglob("*")}
+
+
+def test_resume_refuses_what_would_change_the_result(never_stopped):
+    done = f2s("resume", never_stopped, "--set", "domain.cell_size=3 um", cwd=never_stopped.parent, code=2)
+    assert "domain.cell_size" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_folder_without_a_checkpoint_cannot_be_resumed(tmp_path):
+    done = f2s("resume", tmp_path / "nothing", cwd=tmp_path, code=3)
+    assert len(done.stderr.splitlines()) == 1
+    assert "nothing" in done.stderr
+    assert not done.stdout
