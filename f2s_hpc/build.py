@@ -40,7 +40,8 @@ def build_model(scene: Scene) -> Model:
         courant=n.courant, remap_courant=n.remap_courant, strain_per_step=n.strain_per_step,
         viscosity=(n.shock_viscosity_linear, n.shock_viscosity_quadratic), viscous_heating=n.viscous_heating,
         hourglass=n.hourglass, exchange_strength=n.exchange_strength, exchange_mass_limit=n.exchange_mass_limit,
-        light_mass_floor=n.light_mass_floor, speed_cap=n.speed_cap_factor * speed, speed_limit=n.speed_limit_factor * speed,
+        light_mass_floor=n.light_mass_floor, speed_cap=n.speed_cap_factor * speed,
+        speed_limit=n.speed_limit_factor * speed,
         conduction=n.conduction and m.conductivity > 0.0, second_order=n.remap_order == 2, dust=n.dust,
         largest_strain=n.largest_strain)
     x, y, z = scene.domain.extents

@@ -51,8 +51,8 @@ class Progress:
         passed = clock.time - self.done_time
         left = (now - self.start) * (self.total_time - clock.time) / passed if passed > 0.0 else 0.0
         text = (f"cycle {cycle + 1}/{cycles}  {1e9 * clock.in_cycle:7.1f} of {1e9 * duration:.0f} ns"
-                f"  step {clock.steps}  dt {1e12 * clock.dt:.0f} ps ({clock.limit})  fastest {clock.limits.heavy_speed:.0f} m/s"
-                f"  {100.0 * share:5.1f} %  ETA {clock_text(left)}")
+                f"  step {clock.steps}  dt {1e12 * clock.dt:.0f} ps ({clock.limit})"
+                f"  fastest {clock.limits.heavy_speed:.0f} m/s  {100.0 * share:5.1f} %  ETA {clock_text(left)}")
         if self.on_terminal:
             bar = ("#" * int(20 * share)).ljust(20, ".")
             sys.stdout.write(f"\r[{bar}] {text}\033[K")

@@ -136,7 +136,7 @@ class Simulation:
         summary = self.summary()
         self.folder.write_tables(self.rows, summary)
         if self.folder.draw(summary) is None and scene.output.picture and mpi.is_root():
-            self.progress.say("note: no picture; it needs volume_fraction, peeq, temperature and speed in output.fields")
+            self.progress.say("note: no picture; output.fields lacks volume_fraction, peeq, temperature or speed")
         return self.status
 
     def _run_cycle(self) -> bool:

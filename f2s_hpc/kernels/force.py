@@ -18,8 +18,8 @@ W = 64
 distances, so the compiler sees that they do not overlap and vectorises, and they stay in the first cache."""
 
 RATE, TOTAL, COEFFICIENT, VISCOUS, POWER, SPEED, STRESS, LEFT, RIGHT, ROWS = 0, 1, 2, 3, 4, 5, 6, 12, 16, 20
-"""Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous and hourglass power, wave
-speed, six weighted stresses, forces on four left and four right corners."""
+"""Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous and
+hourglass power, wave speed, six weighted stresses, forces on four left and four right corners."""
 
 
 @kernel

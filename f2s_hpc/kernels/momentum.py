@@ -102,10 +102,10 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
 def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, v, w, du, dv, dw):
     """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
 
-    A pair of neighbours along an axis shares momentum if both are lighter than ``limit`` full nodes (with ``strength``),
-    or if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH): the pair's lighter mass times the strength times
-    the velocity difference passes from one to the other, so the pair keeps its momentum and no
-    pair overshoots (strength < 1/6).
+    A pair of neighbours along an axis shares momentum if both are lighter than ``limit`` full nodes
+    (with ``strength``), or if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH): the pair's
+    lighter mass times the strength times the velocity difference passes from one to the other, so the
+    pair keeps its momentum and no pair overshoots (strength < 1/6).
     """
     ny, nx = shape
     strides = (1, nx + 1, (nx + 1) * (ny + 1))

@@ -13,9 +13,10 @@ from f2s_hpc.materials.pressure import pressure, stored_energy
 
 GRADIENT, TRIAL, MISES, STRAIN, STATIC, RATIO, PLASTIC, FLOW = 0, 9, 15, 16, 17, 18, 19, 20
 AFTER, VOLUME, VISCOUS, SHAPE_BEFORE, SHAPE_AFTER, POWER, HEAT, ROWS = 21, 22, 23, 24, 25, 26, 27, 28
-"""Scratch rows of a chunk of cells: nine of the velocity gradient, six of the trial stress, its von Mises stress, the
-equivalent strain increment, static flow stress, return ratio, plastic strain increment, flow stress; volume fraction after,
-volume ratio, viscous heat, s:s before and after, stress power, heat."""
+"""Scratch rows of a chunk of cells: nine of the velocity gradient, six of the trial stress, its von
+Mises stress, the equivalent strain increment, static flow stress, return ratio, plastic strain
+increment, flow stress; volume fraction after, volume ratio, viscous heat, s:s before and after, stress
+power, heat."""
 
 
 @kernel
@@ -56,7 +57,7 @@ def _gradient(p00, p10, p01, p11, scale, row, s):
 
 @kernel
 def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shear_modulus, largest, s):
-    """Rotate the old stress and add the elastic increment over a chunk of cells, into scratch rows TRIAL, MISES, STRAIN.
+    """Rotate the old stress and add the elastic increment over a chunk of cells, into rows TRIAL, MISES, STRAIN.
 
     The gradient is taken at the middle of the step, L (1 + dt L / 2)^-1 to second order; the rotation
     is the half-step Cayley form of the Jaumann rate (Hughes and Winget 1980), exact in the invariants.
@@ -120,8 +121,9 @@ def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shea
 def closure(x, fraction, jacobian, energy, eos, spall):
     """Return the volume fraction of a cell after its volume changed by ``jacobian``.
 
-    ``x``: mass in full cells; ``fraction`` before. The rule that keeps mixed cells sound: void
-    closes before material is squeezed, a free surface carries no pressure, full material bears tension up to ``spall`` (Pa).
+    ``x``: mass in full cells; ``fraction`` before. The rule that keeps mixed cells sound: void closes
+    before material is squeezed, a free surface carries no pressure, full material bears tension up to
+    ``spall`` (Pa).
     """
     ratio = x / jacobian
     holds = fraction >= 1.0 and pressure(eos, ratio, energy) > -spall
@@ -217,7 +219,7 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
 
 @kernel
 def _sum_chunk(mass, fraction, bulk, eos, volume, quantum, s, sums):
-    """Add a chunk's energies to ``sums`` and write the new volume fraction; return the largest gradient norm and its cell."""
+    """Add a chunk's energies to ``sums``, write the new volume fraction; return the steepest gradient and its cell."""
     steepest, where = 0.0, 0
     modulus = 4.0 * bulk.shear_modulus
     for i in range(mass.size):
