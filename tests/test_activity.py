@@ -73,6 +73,23 @@ def test_an_empty_box_has_no_active_cell_and_material_is_not_missed_after_rest()
     assert 0 < state.active_cells() < np.prod(CELLS) // 4
 
 
+def test_material_that_arrives_from_another_rank_is_noticed():
+    """It comes into the ghosts of blocks at rest, on any side; all that it can reach must become active.
+
+    Fails when ``mark_material`` looks at blocks that are active already and at no others.
+    """
+    for axis in range(3):
+        for layer in (0, -1):
+            state = make_setup(CELLS, MODEL).state
+            place = [5, 5, 5]
+            place[axis] = range(state.part.cell_shape[axis])[2 if layer == 0 else -3]
+            state.views["mass"][tuple(place)] = 0.3
+            state.update_activity()
+            low, high = np.maximum(np.array(place) - 1, 0), np.minimum(np.array(place) + 3, state.part.cell_shape)
+            reached = active_cells(state)[tuple(slice(a, b) for a, b in zip(low, high))]
+            assert reached.all(), (axis, layer)
+
+
 def test_blocks_that_retire_are_zero(rng):
     """All arrays are filled, then the material goes: outside the active blocks every field is zero.
 

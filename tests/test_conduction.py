@@ -38,8 +38,8 @@ def test_conductivity_is_that_of_the_material(axis):
     setup.state.views["temperature"][...] = 400.0 + position**2
     dt = 1e-10
     conduct(setup.state, MODEL, dt)
-    gain = np.moveaxis(setup.state.owned("temperature") - 400.0 - np.moveaxis(
-        np.broadcast_to(position, setup.state.part.cell_shape)[setup.state.part.owned_cells], 0, 0) ** 2, 2 - axis, 0)
+    gain = (setup.state.views["temperature"] - 400.0 - position**2)[setup.state.part.owned_cells]
+    gain = np.moveaxis(gain, 2 - axis, 0)
     bulk = MODEL.bulk
     expected = bulk.conductivity / (bulk.density * bulk.specific_heat) * dt * 2.0 / DX**2
     assert gain[1:-1] == pytest.approx(expected, rel=1e-7)
@@ -62,7 +62,10 @@ def cosine_error(cells, axis):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_cosine_decays_at_its_rate_with_second_order(axis):
-    """12 and 24 cells, to 0.3 K of 100 K and order >= 1.9; fails when ``number * total`` becomes ``0.99 * number * total``."""
+    """12 and 24 cells, to 0.3 K of 100 K and order >= 1.9.
+
+    Fails when ``number * total`` becomes ``0.99 * number * total``.
+    """
     coarse, fine = cosine_error(12, axis), cosine_error(24, axis)
     assert coarse < 0.3
     assert math.log2(coarse / fine) > 1.9

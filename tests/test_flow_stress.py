@@ -9,6 +9,8 @@ import pytest
 from scipy.optimize import brentq
 from solver_setup import make_model
 
+from f2s_hpc._jit import kernel
+from f2s_hpc.materials.elementary import exponential, logarithm, power
 from f2s_hpc.materials.flow_stress import MAX_ITERATIONS, flow_stress, return_map
 from f2s_hpc.materials.params import Elastic, LinearHardening
 
@@ -34,6 +36,27 @@ JOHNSON_COOK_TABLE = [
     (0.1, 1.0, 298.0, 233.015415), (0.5, 1e4, 298.0, 400.497609), (1.0, 1e6, 298.0, 513.938126),
     (1.0, 1e7, 600.0, 399.273141), (2.0, 1e8, 900.0, 303.110942), (3.0, 1e7, 723.15, 442.221388),
 ]
+
+
+@kernel
+def elementary(x, out):
+    """Write e**x, ln e**x and (e**x)**0.41 into the rows of ``out``."""
+    for i in range(x.size):
+        out[0, i] = exponential(x[i])
+        out[1, i] = logarithm(out[0, i])
+        out[2, i] = power(out[0, i], 0.41)
+
+
+def test_elementary_functions_are_as_exact_as_they_say():
+    """Against the mathematical library over 600 decades; fails when the coefficient 1 / 720 becomes 1 / 721."""
+    x = np.concatenate([np.linspace(-690.0, 690.0, 20001), np.linspace(-0.01, 0.01, 2001)])
+    out = np.empty((3, x.size))
+    elementary(x, out)
+    assert np.abs(out[0] / np.exp(x) - 1.0).max() < 1e-15
+    exact = np.log(out[0])
+    assert (np.abs(out[1] - exact) <= 1e-15 * np.abs(exact)).all()
+    assert (np.abs(out[2] / out[0] ** 0.41 - 1.0) <= 1e-15 * (1.0 + np.abs(0.41 * x))).all()
+    assert out[0, x == 0.0].tolist() == [1.0] * np.count_nonzero(x == 0.0)
 
 
 def ge_by_hand(eps, rate, temperature):
@@ -93,7 +116,10 @@ def test_johnson_cook_matches_the_table(row):
 
 @pytest.mark.parametrize("name", BY_HAND)
 def test_slopes_match_central_differences(name, rng):
-    """Both slopes at random states away from the reference rates; fails when ``slope_strain += dr * logarithm`` goes."""
+    """Both slopes at random states away from the reference rates.
+
+    Fails when ``slope_strain += dr * decades`` is dropped.
+    """
     flow, _ = BY_HAND[name]
     for eps, rate, kelvin in zip(10 ** rng.uniform(-3, 1.5, 100), 10 ** rng.uniform(-5, 9, 100),
                                  rng.uniform(80.0, 1300.0, 100)):
@@ -129,9 +155,9 @@ def test_return_map_matches_a_bracketing_root_finder(name, rng):
     """
     flow, by_hand = BY_HAND[name]
     count = 6667
-    states = zip(np.where(rng.random(count) < 0.2, 0.0, 50.0 * rng.random(count) ** 4), 10 ** rng.uniform(-13, -3, count),
-                 rng.uniform(-200.0, 1300.0, count) + ZERO_CELSIUS, 10 ** rng.uniform(-1, 2, count),
-                 10 ** rng.uniform(-8, 1, count))
+    states = zip(np.where(rng.random(count) < 0.2, 0.0, 50.0 * rng.random(count) ** 4),
+                 10 ** rng.uniform(-13, -3, count), rng.uniform(-200.0, 1300.0, count) + ZERO_CELSIUS,
+                 10 ** rng.uniform(-1, 2, count), 10 ** rng.uniform(-8, 1, count))
     plastic = 0
     for eps, dt, kelvin, times, guess in states:
         static = by_hand(eps, 0.0, kelvin)
@@ -172,7 +198,7 @@ def test_any_guess_gives_the_same_root(guess):
 
 
 def test_linear_hardening_has_its_closed_form():
-    """d = (trial - Y - H eps) / (3 G + H); fails when its slope ``flow.modulus`` in ``_linear_hardening`` is negated."""
+    """d = (trial - Y - H eps) / (3 G + H); fails when the slope of ``_linear_hardening`` is negated."""
     increment, stress, iterations = return_map(LINEAR, 3e9, SHEAR_MODULUS, 0.2, 1e-9, 300.0, 0.0)
     assert increment == pytest.approx((3e9 - 420e6) / (3.0 * SHEAR_MODULUS + 100e6), rel=1e-12)
     assert stress == pytest.approx(420e6 + 100e6 * increment, rel=1e-12)

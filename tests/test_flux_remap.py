@@ -44,12 +44,11 @@ def total_mass(state):
 def test_uniform_fields_of_a_full_block_keep_every_bit(order, rng):
     """Random fluxes, all sweep orders: stress, PEEQ, temperature, velocity stay the numbers they were.
 
-    Fails when the update of ``_blend_row`` is written as (old * masses + low * low_value - high * high_value) * inverse,
-    or its first ``- old`` is dropped.
+    Fails when the update of ``_blend_row`` is written without differences, or one ``- old`` of it is dropped.
     """
     setup = make_block((7, 11, 5), MODEL)
     state = setup.state
-    uniform = {name: value for name, value in zip((*STRESS, "peeq", "temperature"), rng.normal(size=8))}
+    uniform = dict(zip((*STRESS, "peeq", "temperature"), rng.normal(size=8)))
     for name, value in uniform.items():
         state.views[name][...] = value
     state.views["velocity_y"][...] = 123.456789

@@ -52,7 +52,6 @@ def test_flight_along_x():
     fly((1.0, 0.0, 0.0), (62, 12, 12), (5.3, 5.8, 6.1))
 
 
-@pytest.mark.mpi
 def test_flight_downwards():
     """Along -z, as particles do; fails when ``mass_flux[n] - mass_flux[n + step]`` of ``sweep_mass`` is turned."""
     fly((0.0, 0.0, -1.0), (12, 11, 62), (5.9, 5.2, 56.4))

@@ -91,9 +91,10 @@ def nodal(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     return np.array([(mass * setup.whole(name)).sum() for name in VELOCITY]), mass.sum()
 
 
-@pytest.mark.parametrize(("height", "cells"), [(9e-6, 3.0), (10.1e-6, 10.1 / 3.0), (36.0e-6, 12.0), (57e-6, 19.0)])
+@pytest.mark.parametrize(("height", "cells"), [(9e-6, 3.0), (10.1e-6, 10.1 / 3.0), (36e-6, 12.0),
+                                               (6.900000000000001e-05, 23.0)])
 def test_the_substrate_has_its_volume(setup, height, cells):
-    """Fails if ``share[share < 1e-9] = 0.0`` is left out of ``paint_substrate`` (57 um would be 20 layers)."""
+    """Fails if ``share[share < 1e-9] = 0.0`` is left out of ``paint_substrate`` (the last would be 24 layers)."""
     paint_substrate(setup.state, height, 298.15)
     mass = setup.whole("mass")
     assert np.isclose(mass.sum(), CELLS[0] * CELLS[1] * cells, rtol=1e-12, atol=0.0)
@@ -127,7 +128,7 @@ def test_a_batch_has_its_clipped_volume_and_the_bits_of_one_rank(setup, rng):
 
 
 def test_walls_cut_spheres_and_mirror_them(setup):
-    """Fails if painting leaves ghosts behind a wall empty: drop ``state.boundary.fill`` from ``insert._add``."""
+    """Fails if ``state.exchange(state.ghosted)`` is dropped from ``insert._add``."""
     batch = batch_of((0.0, 0.0, 30.0, 12.0), (57.0, 20.0, 30.0, 9.0))
     setup.put(batch)
     ball = 4.0 / 3.0 * np.pi * 1e-18
@@ -153,7 +154,8 @@ def test_the_energy_brought_in_is_that_of_the_spheres(setup):
 def test_merging_conserves_mass_momentum_and_heat(setup, rng):
     """Fails if new material replaces old: ``temperature[c] = new_temperature`` always, or ``share = 1`` at nodes.
 
-    Both in ``kernels/paint.py`` (``merge_cells``, ``merge_nodes``).
+    Both in ``kernels/paint.py`` (``merge_cells``, ``merge_nodes``). Fails too if what a wall cuts off is taken for
+    what lies mirrored behind it: drop ``state.boundary.fill`` from ``insert._add``.
     """
     state, model = setup.state, setup.model
     paint_substrate(state, 25.5e-6, 298.15)
@@ -172,7 +174,7 @@ def test_merging_conserves_mass_momentum_and_heat(setup, rng):
     state.exchange(state.ghosted)
     before = {name: (setup.whole("mass") * setup.whole(name)).sum() for name in cells}
     momentum, mass = nodal(setup)
-    batch = batch_of((28.0, 25.0, 37.5, 11.6), (12.0, 36.0, 66.0, 9.0))
+    batch = batch_of((28.0, 25.0, 37.5, 11.6), (12.0, 36.0, 66.0, 9.0), (5.0, 16.0, 37.5, 11.6))
     report = setup.put(batch)
     assert report.moved == 0
     added = report.volume / DX**3
@@ -185,7 +187,9 @@ def test_merging_conserves_mass_momentum_and_heat(setup, rng):
         assert np.isclose(after[name], before[name], rtol=1e-11, atol=1e-12 * cells[name][1] * mass)
     new_momentum, new_mass = nodal(setup)
     assert np.isclose(new_mass, mass + added, rtol=1e-12, atol=0.0)
-    assert np.allclose(new_momentum, momentum + added * np.array(SPEED), rtol=0.0, atol=1e-11 * added * 600.0)
+    # the wall that cuts the last sphere takes up momentum along its normal, x, and no other
+    wanted = momentum + added * np.array(SPEED)
+    assert np.allclose(new_momentum[1:], wanted[1:], rtol=0.0, atol=1e-11 * added * 600.0)
     assert np.isclose(setup.volume(), CELLS[0] * CELLS[1] * 8.5 * DX**3 + volume_inside(batch), rtol=1e-12, atol=0.0)
     assert model.dx == DX
 
@@ -209,7 +213,7 @@ def test_a_sphere_on_material_is_moved_until_no_cell_is_overfull(setup):
     asked = np.array([batch.x, batch.y, batch.z + 20e-6])
     placed = np.array([report.positions.x, report.positions.y, report.positions.z])
     moves = np.linalg.norm(placed - asked, axis=0)
-    assert np.isclose(report.largest_move, moves.max(), rtol=1e-12)
+    assert np.isclose(report.largest_move, moves.max(), rtol=1e-12, atol=0.0)
     assert moves[3] == 0.0
     assert all(np.array_equal(placed, other) for other in mpi.all_gather(placed))
     reference = before.copy()

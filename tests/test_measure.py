@@ -67,7 +67,7 @@ def columns(rng: np.random.Generator, lowest: float) -> tuple[np.ndarray, np.nda
 
 @pytest.mark.parametrize("draw", ["normal", "skewed", "two heaps"])
 def test_percentiles_are_those_of_numpy(rng, draw):
-    """Fails if ``searchsorted`` looks on the wrong side of a bin's edge (``cumulative[1:]``), or counts per rank."""
+    """Fails if ``percentiles`` counts this rank's cells only: no ``mpi.total`` around ``np.bincount``, on 2 ranks."""
     values = {"normal": rng.normal(size=40000), "skewed": rng.exponential(size=40000),
               "two heaps": np.concatenate([rng.normal(size=10000), rng.normal(9.0, 0.1, size=30000)])}[draw]
     bounds = np.linspace(0.0, 1.0, mpi.size() + 1) ** 2 * values.size  # uneven shares
@@ -156,8 +156,8 @@ def test_only_what_has_landed_above_the_substrate_counts(state, rng):
     put(state, "velocity_z", falling)
     found = agreed(measure.measure_material(state, model, 17e-6, 600.0))
     deposit = peeq[3:10]  # the substrate ends at 3.4 cells: the cell with its centre at 3.5 is deposit
-    assert np.isclose(found["height_mean_m"], 10.3 * DX - 17e-6, rtol=1e-12)
-    assert np.isclose(found["height_max_m"], found["height_p95_m"], rtol=1e-12)
+    assert np.isclose(found["height_mean_m"], 10.3 * DX - 17e-6, rtol=1e-9, atol=0.0)
+    assert np.isclose(found["height_max_m"], found["height_p95_m"], rtol=1e-9, atol=0.0)
     assert found["peeq_max"] == 7.0
     bin_width = (7.0 - 1.0) / 8192
     p50, p95 = np.quantile(deposit, (0.5, 0.95))
@@ -182,6 +182,6 @@ def test_the_dense_height_is_the_painted_volume_over_the_area(state):
     assert np.isclose(found["dense_height_m"], volume / (65e-6 * 70e-6), rtol=1e-12, atol=0.0)
     assert abs(found["mass_drift_relative"]) < 1e-12
     energy = found["energy"]
-    assert np.isclose(energy["kinetic"], 0.5 * model.bulk.density * volume * 600.0**2, rtol=1e-9)
-    assert np.isclose(energy["brought_in"], energy["kinetic"], rtol=1e-12)
+    assert np.isclose(energy["kinetic"], 0.5 * model.bulk.density * volume * 600.0**2, rtol=1e-9, atol=0.0)
+    assert np.isclose(energy["brought_in"], energy["kinetic"], rtol=1e-12, atol=0.0)
     assert found["numerical_loss_fraction"] == pytest.approx(0.0, abs=1e-12)

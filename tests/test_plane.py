@@ -39,7 +39,7 @@ def random_normals(rng, count, least=-6.0):
 
 
 def test_volume_below_is_exact(rng):
-    """3,000 random planes, components down to 1e-6; fails when ``if m12 <= m3`` swaps its branches, or 6.0 becomes 3.0."""
+    """3,000 random planes, components down to 1e-6; fails when ``m12 <= m3`` is turned round, or a 6.0 becomes 3.0."""
     normals = random_normals(rng, 3000)
     for (a, b, c), distance in zip(normals, rng.random(3000)):
         thinnest = min(a, b, c)

@@ -56,7 +56,8 @@ def test_linear_stiffness_is_the_slope_of_the_pressure(x):
 def isentropic_slope(x, energy, step=1e-5):
     """Return x dp/dx along the isentrope, de = p dx / (rho_0 x^2)."""
     work = evaluate(GRUENEISEN, x, energy)[0] / (GRUENEISEN.density * x * x)
-    high, low = evaluate(GRUENEISEN, x + step, energy + step * work), evaluate(GRUENEISEN, x - step, energy - step * work)
+    high = evaluate(GRUENEISEN, x + step, energy + step * work)
+    low = evaluate(GRUENEISEN, x - step, energy - step * work)
     return x * (high[0] - low[0]) / (2.0 * step)
 
 

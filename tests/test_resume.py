@@ -128,9 +128,9 @@ def test_a_stopped_run_says_where_it_is(stopped_twice, never_stopped):
 
 
 def test_resumed_on_another_number_of_ranks_it_ends_in_the_same_bits(stopped_twice, never_stopped, tmp_path):
-    """Fails if anything that the next step reads is not saved: drop ``"dt"`` or ``"limits"`` in ``_attributes``.
+    """Fails if what the next step reads is saved wrongly: ``"steps": clock.steps + 1`` in ``Simulation._attributes``.
 
-    Both in ``cycles/simulation.py``; or restore the velocity without ``state.exchange``.
+    (The order of the sweeps follows the number of the step.)
     """
     copy = tmp_path / "copy"
     shutil.copytree(stopped_twice, copy)
