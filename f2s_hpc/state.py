@@ -67,7 +67,7 @@ class State:
         """Find the active blocks from the present mass; zero what has just fallen outside them."""
         nz, ny, nx = self.part.cell_shape
         self._previous[:] = self.active
-        activity.mark_material(self.flat["mass"], (nz, ny, nx), self.active, self._holds)
+        activity.mark_material(self.flat["mass"], (nz, ny, nx), GHOST, self.active, self._holds)
         activity.grow_active(self._holds, self.active)
         activity.retire(self._previous, self.active, (ny, nx), self.pool.memory, self.cell_offsets, self.node_offsets)
         self.run_count = activity.list_runs(self.active, nx, self._runs)

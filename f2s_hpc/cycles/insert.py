@@ -165,7 +165,7 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     ledger.add("brought_in", kinetic_quanta(state, model) - before)
     quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
     ledger.add("mass_painted", quanta)
-    report.volume = float(mpi.total(np.int64(quanta))) * model.mass_quantum * part.box.dx**3
+    report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * part.box.dx**3
 
 
 def kinetic_quanta(state: State, model: Model) -> int:

@@ -17,21 +17,24 @@ BLOCK = 16
 
 
 @kernel
-def mark_material(mass, shape, active, holds):
-    """Note in ``holds`` which of the active blocks contain material.
+def mark_material(mass, shape, ghosts, active, holds):
+    """Note in ``holds`` which blocks contain material: looks at the active ones and at those with ghosts.
 
-    ``mass`` flat cell array; ``shape`` (nz, ny, nx) of it; ``active``, ``holds`` uint8 arrays
-    (nz, ny, blocks). Bits of ``holds``: 1 any cell, 2 the first cell, 4 one of the last two cells of the block.
+    Material of another rank appears in the ghosts, also of blocks at rest. ``mass`` flat cell array;
+    ``shape`` (nz, ny, nx) of it; ``ghosts``: layers of them on each side; ``active``, ``holds`` uint8 arrays (nz, ny,
+    blocks). Bits of ``holds``: 1 any cell, 2 the first
+    cell, 4 one of the last two cells of the block.
     """
     nz, ny, nx = shape
     for k in range(nz):
         for j in range(ny):
             row = (k * ny + j) * nx
+            outside = k < ghosts or k >= nz - ghosts or j < ghosts or j >= ny - ghosts
             for b in range(active.shape[2]):
+                first = b * BLOCK
+                last = min(first + BLOCK, nx)
                 flag = 0
-                if active[k, j, b]:
-                    first = b * BLOCK
-                    last = min(first + BLOCK, nx)
+                if active[k, j, b] or outside or first < ghosts or last > nx - ghosts:
                     for i in range(first, last):
                         if mass[row + i] != 0.0:
                             flag = 1
