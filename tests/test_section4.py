@@ -50,7 +50,7 @@ def test_both_batches_are_in(summary):
 
 
 def test_mass_is_kept(summary):
-    """Fails if a ghost cell keeps an old mass: leave ``state.exchange(state.ghosted)`` out of ``solver/remap.py``."""
+    """Fails if ``insert._add`` counts ghost cells as painted: ``mass_quanta(added, ...)``."""
     assert abs(summary["mass_drift_relative"]) < 1e-10
     assert summary["mass_left_kg"] == 0.0
     assert summary["mass_capped_kg"] < 1e-5 * summary["painted_volume_m3"] * DENSITY

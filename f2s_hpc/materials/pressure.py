@@ -37,7 +37,7 @@ def _grueneisen_pressure(eos, x, energy):
     cold = eos.density * eos.sound_speed * eos.sound_speed
     softer = 1.0 - (eos.slope - 1.0) * max(mu, 0.0)
     hugoniot = cold * mu if mu < 0.0 else cold * mu * (1.0 + mu) / (softer * softer)
-    return hugoniot * (1.0 - 0.5 * eos.gamma * mu) + eos.gamma * eos.density * energy
+    return hugoniot * (1.0 - 0.5 * eos.gamma * mu / x) + eos.gamma * eos.density * energy
 
 
 def _grueneisen_stiffness(eos, x, energy):
@@ -47,8 +47,10 @@ def _grueneisen_stiffness(eos, x, energy):
     softer = 1.0 - (eos.slope - 1.0) * up
     hugoniot = cold * up * (1.0 + up) / (softer * softer)
     slope = cold * (1.0 + 2.0 * up + (eos.slope - 1.0) * up) / (softer * softer * softer)
-    pressure = hugoniot * (1.0 - 0.5 * eos.gamma * up) + eos.gamma * eos.density * energy
-    return x * (slope * (1.0 - 0.5 * eos.gamma * up) - 0.5 * eos.gamma * hugoniot) + eos.gamma * max(pressure, 0.0) / x
+    cold_share = 1.0 - 0.5 * eos.gamma * up / (1.0 + up)
+    pressure = hugoniot * cold_share + eos.gamma * eos.density * energy
+    less = 0.5 * eos.gamma * hugoniot / ((1.0 + up) * (1.0 + up))
+    return x * (slope * cold_share - less) + eos.gamma * max(pressure, 0.0) / x
 
 
 def _grueneisen_energy(eos, x):
@@ -60,7 +62,7 @@ def pressure(eos, x, energy):
 
     ``x`` = rho / rho_0; ``energy`` specific internal energy (J/kg; Mie-Grueneisen only). Linear:
     p = K ln x, a constant bulk modulus in logarithmic strain. Mie-Grueneisen: with mu = x - 1,
-    p = p_H (1 - Gamma mu / 2) + Gamma rho_0 e and p_H = rho_0 c^2 mu (1 + mu) / (1 - (s - 1) mu)^2
+    p = p_H (1 - Gamma mu / 2x) + Gamma rho_0 e and p_H = rho_0 c^2 mu (1 + mu) / (1 - (s - 1) mu)^2
     in compression, rho_0 c^2 mu in tension.
     """
     return (_linear_pressure if isinstance(eos, LinearPressure) else _grueneisen_pressure)(eos, x, energy)
