@@ -64,7 +64,7 @@ def all_gather(value: Value) -> list[Value]:
 
 
 def _reduced(value, operation: MPI.Op):
-    local = np.ascontiguousarray(value)
+    local = np.asarray(value, order="C")
     if size() == 1:
         return local.copy() if local.ndim else local[()]
     total = np.empty_like(local)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import pathlib
-import sys
 
 from f2s_hpc import fields, mpi
 from f2s_hpc.analysis.table import format_table
 from f2s_hpc.config import describe, load_scene, scene_hash
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles.output import PICTURE
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
 from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
@@ -76,8 +76,11 @@ def resume(folder: str, overrides: list[str]) -> int:
     simulation = Simulation(scene, folder)
     simulation.resume(path)
     clock = simulation.clock
-    _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
-         f"{1e6 * clock.time:.4f} us, on {mpi.size()} ranks")
+    if simulation.cycle == scene.cycles.count:
+        _say(f"{path}: all {scene.cycles.count} cycles are done, nothing is left to run")
+    else:
+        _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
+             f"{1e6 * clock.time:.4f} us, on {mpi.size()} ranks")
     return _finish(simulation, folder)
 
 
@@ -95,10 +98,10 @@ def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> Scene:
 def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
     status = simulation.run()
     folder = pathlib.Path(folder)
-    if mpi.is_root():
-        print(f"{status}: numbers {folder / layout.SUMMARY_JSON} and {folder / layout.SUMMARY_CSV}, "
-              f"ParaView {folder / layout.INDEX}, picture {folder / 'deposit.png'}")
-        sys.stdout.flush()
+    found = [(text, folder / name) for text, name in (
+        ("numbers", layout.SUMMARY_JSON), ("cycle table", layout.SUMMARY_CSV), ("ParaView", layout.INDEX),
+        ("picture", PICTURE))]
+    _say(f"{status}: " + ", ".join(f"{text} {path}" for text, path in found if path.exists()))
     return 0 if status == COMPLETE else EXIT_REQUEUE
 
 

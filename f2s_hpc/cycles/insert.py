@@ -62,6 +62,7 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
     share = np.clip((height - bottoms) / dx, 0.0, 1.0)
     # a layer thinner than round-off of the height is not material
     share[share < 1e-9] = 0.0
+    share[share > 1.0 - 1e-9] = 1.0
     for k in np.flatnonzero(share):
         state.views["mass"][k] = share[k]
         state.views["volume_fraction"][k] = share[k]
@@ -81,6 +82,13 @@ def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
     return mpi.maximum(overlap)
 
 
+def _inside(place: float, wanted: float, radius: float, width: float) -> float:
+    """Return ``place`` kept off the walls; a sphere that a wall cuts stays where it was wanted, so its volume stays."""
+    if not radius <= wanted <= width - radius:
+        return wanted
+    return min(max(place, radius), width - radius)
+
+
 def _proposal(batch: Batch, index: int, attempt: int, bounds: tuple[float, float, float, float], dx: float,
               generator: np.random.Generator) -> tuple[float, float, float] | None:
     """Return a new place for a sphere: first straight up, then ever wider around; None if another sphere is there."""
@@ -91,7 +99,7 @@ def _proposal(batch: Batch, index: int, attempt: int, bounds: tuple[float, float
     else:
         shift = generator.normal(size=3) * dx * (attempt - 4)
     x, y, z = np.array([batch.x[index], batch.y[index], batch.z[index]]) + shift
-    x, y = min(max(x, 0.0), width), min(max(y, 0.0), depth)
+    x, y = _inside(x, batch.x[index], r, width), _inside(y, batch.y[index], r, depth)
     if z - r < bottom or z + r > top:
         return None
     distance = np.sqrt((batch.x - x) ** 2 + (batch.y - y) ** 2 + (batch.z - z) ** 2)

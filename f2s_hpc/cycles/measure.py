@@ -26,6 +26,11 @@ def derived_field(state: State, model: Model, name: str) -> np.ndarray:
     """Return the owned part [k, j, i] of a field that is shown: a stored one, or pressure, von_mises, speed."""
     if name in BY_NAME:
         return state.owned(name)
+    return _derived_with_ghosts(state, model, name)[state.part.owned_cells]
+
+
+def _derived_with_ghosts(state: State, model: Model, name: str) -> np.ndarray:
+    """Return pressure, von_mises or speed on the local cells [k, j, i]; right on owned cells and one layer around."""
     out = np.zeros(state.part.cell_shape)
     flat = state.flat
     if name == "pressure":
@@ -34,7 +39,7 @@ def derived_field(state: State, model: Model, name: str) -> np.ndarray:
         derived.cell_von_mises(tuple(flat[n] for n in STRESS), out.reshape(-1))
     else:
         derived.cell_speed(state.part.cell_shape, flat["mass"], *state.velocity, out.reshape(-1))
-    return out[state.part.owned_cells]
+    return out
 
 
 def location(name: str) -> str:
@@ -69,14 +74,14 @@ def percentiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ..
 def surface_map(state: State, landed: np.ndarray) -> np.ndarray:
     """Return the height (m, from the bottom of the box) of the landed material's surface, (ny, nx), on all ranks.
 
-    Per column: the top of the highest cell at least half full of landed material, plus what the cell above holds;
-    0 where there is none. ``landed``: bool, owned cells.
+    Per column: the top of the highest cell at least half full of landed material, plus what landed in the cell above;
+    0 where there is none. ``landed``: bool, local cells with ghosts.
     """
     part = state.part
-    fraction = state.views["volume_fraction"]
+    fraction = np.where(landed, state.views["volume_fraction"], 0.0)
     own = fraction[part.owned_cells]
     above = fraction[GHOST + 1:GHOST + 1 + part.count[2], part.owned_cells[1], part.owned_cells[2]]
-    solid = landed & (own >= 0.5)
+    solid = own >= 0.5
     nz = part.count[2]
     top = nz - 1 - np.argmax(solid[::-1], axis=0)
     rows, columns = np.indices(top.shape)
@@ -98,11 +103,10 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
     """Return heights (m, above the substrate top), PEEQ and temperature percentiles of what has landed."""
     part = state.part
     fraction, mass = state.owned("volume_fraction"), state.owned("mass")
-    slow = derived_field(state, model, "speed") < SLOW * particle_speed
+    slow = _derived_with_ghosts(state, model, "speed") < SLOW * particle_speed
     centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
-    landed = slow & (fraction > 0.0)
-    deposit = landed & (fraction >= 0.5) & (centre[:, None, None] > substrate_height)
-    surface = surface_map(state, landed) - substrate_height
+    deposit = slow[part.owned_cells] & (fraction >= 0.5) & (centre[:, None, None] > substrate_height)
+    surface = surface_map(state, slow) - substrate_height
     peeq, temperature = state.owned("peeq"), state.owned("temperature")
     solid = fraction > 0.5
     peeq_max = mpi.maximum(peeq[solid].max() if solid.any() else 0.0)
