@@ -44,7 +44,7 @@ def total_mass(state):
 def test_uniform_fields_of_a_full_block_keep_every_bit(order, rng):
     """Random fluxes, all sweep orders: stress, PEEQ, temperature, velocity stay the numbers they were.
 
-    Fails when the update of ``_blend_row`` is written without differences, or one ``- old`` of it is dropped.
+    Fails when one ``- old`` of ``_blend_row`` is dropped.
     """
     setup = make_block((7, 11, 5), MODEL)
     state = setup.state

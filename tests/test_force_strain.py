@@ -125,7 +125,7 @@ def test_rigid_motion_feels_no_hourglass_force_and_no_viscosity():
 def test_linear_velocities_feel_no_hourglass_force(rng):
     """Any gradient, rotation included: round-off of the force that an hourglass of that speed would feel.
 
-    Fails when ``h2 = (d01 - d00) + (d11 - d10)`` becomes ``(d01 - d00) - (d11 - d10)``.
+    Fails when ``(d01 - d00) + (d11 - d10)`` of ``_corner_forces`` becomes ``(d01 + d00) + (d11 - d10)``.
     """
     model = make_model(DX, viscosity=(0.0, 0.0))
     for gradient in (1e7 * rng.normal(size=(3, 3)), 1e7 * np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0.0]])):

@@ -101,7 +101,7 @@ def test_the_surface_of_columns_is_their_height(state, rng):
     """Fails if the cell above is not added: drop ``np.where(over < 0.5, over, 0.0)`` from ``surface_map``."""
     height, fraction = columns(rng, 0.6)
     put(state, "volume_fraction", fraction)
-    landed = np.ones(state.part.count[::-1], dtype=bool)
+    landed = np.ones(state.part.cell_shape, dtype=bool)
     found = agreed(measure.surface_map(state, landed))
     assert found.shape == CELLS[1::-1]
     assert np.allclose(found, height * DX, rtol=0.0, atol=1e-12 * DX * CELLS[2])
@@ -117,7 +117,9 @@ def test_pores_count_and_flying_material_does_not(state, rng):
     fraction[18:21, 2:9, 3:8] = 1.0
     fraction[:, 11, 11], height[11, 11] = 0.0, 0.0  # an empty column
     put(state, "volume_fraction", fraction)
-    found = agreed(measure.surface_map(state, ~mine(state, flying)))
+    landed = np.ones(state.part.cell_shape, dtype=bool)
+    landed[state.part.owned_cells] = ~mine(state, flying)
+    found = agreed(measure.surface_map(state, landed))
     assert np.allclose(found, height * DX, rtol=0.0, atol=1e-12 * DX * CELLS[2])
 
 

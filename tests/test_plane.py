@@ -121,7 +121,7 @@ def fractions_of(normal, distance):
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_normal_of_a_plane_along_an_axis_is_exact(axis, sign):
-    """Any fill of the middle cell; fails when ``along >= 0.0`` becomes ``along >= 1.0``."""
+    """Any fill of the middle cell; fails when ``along >= 0.0`` becomes ``along <= 0.0``."""
     normal = sign * np.eye(3)[axis]
     for distance in (-0.49, -0.2, 0.0, 0.31, 0.49):
         f = (np.indices(SIZES)[2 - axis] - 2.0) * sign
