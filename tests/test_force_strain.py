@@ -227,7 +227,7 @@ def test_rotation_turns_the_stress_with_the_body(rng):
 def test_simple_shear_follows_the_closed_form_of_the_jaumann_rate():
     """sigma_xy = G sin(gamma), sigma_xx = -sigma_yy = G (1 - cos(gamma)) up to gamma = pi, to 1e-6 of G.
 
-    Fails when ``0.25 * (lyx - lxy)`` is turned round, or ``two_g`` becomes the shear modulus.
+    Fails when ``0.25 * (lyx - lxy)`` is turned round, or half of the elastic increment is left out.
     """
     setup = make_block((3, 3, 3), never_yields(MODEL))
     steps, dt = 2000, 1e-12
@@ -327,7 +327,7 @@ def standing_wave(cells):
 def test_elastic_wave_is_second_order_and_has_the_right_speed():
     """A standing P wave after 1.25 periods, 16 and 32 cells: order >= 1.8, speed within 0.5 % of that of the material.
 
-    Fails when ``two_g`` is zero (stiffness without 4G/3), or ``0.25 * dx * dx`` in the forces becomes 2 % larger.
+    Fails when the elastic increment is left out (stiffness without 4G/3), or ``0.25 * dx * dx`` in the forces becomes 2 % larger.
     """
     (coarse, slow), (fine, near) = standing_wave(16), standing_wave(32)
     assert math.log2(coarse / fine) > 1.8

@@ -59,5 +59,5 @@ def test_flight_downwards():
 
 @pytest.mark.mpi
 def test_flight_along_a_diagonal():
-    """(1, 1, -1): three sweeps in a step; fails when ``_blend_row`` of ``sweep_across_rows`` gets its values swapped."""
+    """(1, 1, -1): three sweeps in a step; fails when ``values[old, ...]``, ``values[new, ...]`` of the update swap."""
     fly((1.0, 1.0, -1.0), (40, 40, 40), (5.3, 5.7, 34.4))

@@ -105,7 +105,7 @@ def test_exchange_touches_only_the_named_fields():
 @pytest.mark.mpi
 @pytest.mark.parametrize("cells", [CELLS, (12, 12, 12), (31, 13, 14)])
 def test_every_cell_and_node_has_one_owner(cells):
-    """Fails when ``self.at_high`` in ``Part.node_count`` becomes ``self.at_low``, which gives the extra node to the first."""
+    """Fails when ``self.at_high`` in ``Part.node_count`` becomes ``self.at_low``: the extra node goes to the first."""
     for location in ("cell", "node"):
         part = Decomposition(Box(cells, 1e-6)).part
         count = part.count if location == "cell" else part.node_count

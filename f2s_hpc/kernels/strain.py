@@ -94,25 +94,27 @@ def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shea
         ryz, rzy = scale * (ay * az - ax), scale * (ay * az + ax)
         sxx, syy, szz = sxx_row[n], syy_row[n], szz_row[n]
         sxy, syz, sxz = sxy_row[n], syz_row[n], sxz_row[n]
+        s[SHAPE_BEFORE * W + n] = sxx * sxx + syy * syy + szz * szz + 2.0 * (sxy * sxy + syz * syz + sxz * sxz)
+        # half of the elastic increment, 2 G d, before the rotation and half after: second order in the angle
+        sxx, syy, szz = sxx + shear_modulus * dxx, syy + shear_modulus * dyy, szz + shear_modulus * dzz
+        sxy, syz, sxz = sxy + shear_modulus * dxy, syz + shear_modulus * dyz, sxz + shear_modulus * dxz
         txx, txy, txz = rxx * sxx + rxy * sxy + rxz * sxz, rxx * sxy + rxy * syy + rxz * syz, \
             rxx * sxz + rxy * syz + rxz * szz
         tyx, tyy, tyz = ryx * sxx + ryy * sxy + ryz * sxz, ryx * sxy + ryy * syy + ryz * syz, \
             ryx * sxz + ryy * syz + ryz * szz
         tzx, tzy, tzz = rzx * sxx + rzy * sxy + rzz * sxz, rzx * sxy + rzy * syy + rzz * syz, \
             rzx * sxz + rzy * syz + rzz * szz
-        two_g = 2.0 * shear_modulus
-        qxx = txx * rxx + txy * rxy + txz * rxz + two_g * dxx
-        qyy = tyx * ryx + tyy * ryy + tyz * ryz + two_g * dyy
-        qzz = tzx * rzx + tzy * rzy + tzz * rzz + two_g * dzz
-        qxy = txx * ryx + txy * ryy + txz * ryz + two_g * dxy
-        qyz = tyx * rzx + tyy * rzy + tyz * rzz + two_g * dyz
-        qxz = txx * rzx + txy * rzy + txz * rzz + two_g * dxz
+        qxx = txx * rxx + txy * rxy + txz * rxz + shear_modulus * dxx
+        qyy = tyx * ryx + tyy * ryy + tyz * ryz + shear_modulus * dyy
+        qzz = tzx * rzx + tzy * rzy + tzz * rzz + shear_modulus * dzz
+        qxy = txx * ryx + txy * ryy + txz * ryz + shear_modulus * dxy
+        qyz = tyx * rzx + tyy * rzy + tyz * rzz + shear_modulus * dyz
+        qxz = txx * rzx + txy * rzy + txz * rzz + shear_modulus * dxz
         s[TRIAL * W + n], s[(TRIAL + 1) * W + n], s[(TRIAL + 2) * W + n] = qxx, qyy, qzz
         s[(TRIAL + 3) * W + n], s[(TRIAL + 4) * W + n], s[(TRIAL + 5) * W + n] = qxy, qyz, qxz
         new = qxx * qxx + qyy * qyy + qzz * qzz + 2.0 * (qxy * qxy + qyz * qyz + qxz * qxz)
         s[MISES * W + n] = math.sqrt(1.5 * new)
         s[SHAPE_AFTER * W + n] = new
-        s[SHAPE_BEFORE * W + n] = sxx * sxx + syy * syy + szz * szz + 2.0 * (sxy * sxy + syz * syz + sxz * sxz)
         s[STRAIN * W + n] = math.sqrt(2.0 / 3.0 * (dxx * dxx + dyy * dyy + dzz * dzz
                                                    + 2.0 * (dxy * dxy + dyz * dyz + dxz * dxz)))
 
