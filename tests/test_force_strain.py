@@ -327,7 +327,7 @@ def standing_wave(cells):
 def test_elastic_wave_is_second_order_and_has_the_right_speed():
     """A standing P wave after 1.25 periods, 16 and 32 cells: order >= 1.8, speed within 0.5 % of that of the material.
 
-    Fails when the elastic increment is left out (stiffness without 4G/3), or ``0.25 * dx * dx`` in the forces becomes 2 % larger.
+    Fails when the elastic increment is left out (no 4G/3), or ``0.25 * dx * dx`` in the forces becomes 2 % larger.
     """
     (coarse, slow), (fine, near) = standing_wave(16), standing_wave(32)
     assert math.log2(coarse / fine) > 1.8
