@@ -36,8 +36,8 @@ def process_grid(box: Box, ranks: int) -> tuple[int, int, int]:
             shape = (px, py, ranks // (px * py))
             if any(n // p < GHOST for n, p in zip(box.cells, shape)):
                 continue
-            nx, ny, nz = (n / p for n, p in zip(box.cells, shape))
-            surface = (px > 1) * ny * nz + (py > 1) * nx * nz + (shape[2] > 1) * nx * ny
+            nx, ny, nz = box.cells
+            surface = (px - 1) * ny * nz + (py - 1) * nx * nz + (shape[2] - 1) * nx * ny
             rating = (shape[2], surface, px)
             if best is None or rating < best[0]:
                 best = (rating, shape)
