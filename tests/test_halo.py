@@ -10,7 +10,7 @@ from solver_setup import ALL_SYMMETRY, STANDARD_SIDES
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
-from f2s_hpc.fields import BY_NAME, CELL, VELOCITY
+from f2s_hpc.fields import BY_NAME, CELL, FIELDS, VELOCITY
 from f2s_hpc.grid.box import GHOST, SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition, process_grid
 from f2s_hpc.state import State
@@ -67,7 +67,7 @@ def expected(state, name):
 def test_ghosts_are_what_their_global_index_says(sides):
     """All fields, all process grids of this many ranks: faces, edges, corners, mirror signs, copies and voids.
 
-    Fails when ``BOX`` of the DMDAs becomes ``STAR``, a mirror sign of :data:`f2s_hpc.fields.FIELDS` is turned, or
+    Fails when ``BOX`` of the DMDAs becomes ``STAR`` or
     ``layer - 1`` of ``fill_side`` becomes ``layer``.
     """
     for grid in process_grids():
@@ -178,3 +178,11 @@ def test_too_many_ranks_are_refused_with_a_way_out(cells, ranks):
     """11 ranks need one axis of 33 cells; fails when ``best is None`` falls through to ``(ranks, 1, 1)``."""
     with pytest.raises(InputError, match=f"{ranks} blocks of at least 3 cells a side; use fewer ranks"):
         process_grid(Box(cells, 1e-6), ranks)
+
+
+def test_the_mirror_turns_what_is_odd_behind_a_wall():
+    """Normal velocity and the two shears with the normal, nothing else; fails when any sign in ``FIELDS`` is turned."""
+    odd = [{"velocity_x", "stress_xy", "stress_xz"}, {"velocity_y", "stress_xy", "stress_yz"},
+           {"velocity_z", "stress_yz", "stress_xz"}]
+    for field in FIELDS:
+        assert [sign == -1 for sign in field.mirror_sign] == [field.name in names for names in odd], field.name
