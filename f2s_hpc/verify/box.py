@@ -1,0 +1,120 @@
+"""Small boxes for verification cases and tests: state, model and ledger, built as a run builds them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f2s_hpc.build import build_ledger, build_model
+from f2s_hpc.config.load import parse_scene
+from f2s_hpc.cycles.insert import InsertReport, paint_batch, paint_substrate
+from f2s_hpc.grid.box import GHOST, SIDES, Box
+from f2s_hpc.grid.decomposition import Decomposition
+from f2s_hpc.particles.batch import Batch
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.solver.step import Clock, advance
+from f2s_hpc.state import State
+
+ALL_SYMMETRY = dict.fromkeys(SIDES, "symmetry")
+STANDARD_SIDES = ALL_SYMMETRY | {"z_low": "fixed", "z_high": "fixed"}
+
+_SCENE = """
+title = "a small box"
+[domain]
+size = ["1 mm", "1 mm", "1 mm"]
+cell_size = "{dx!r} m"
+substrate_height = "0 m"
+particle_layer_height = "1 mm"
+[material]
+name = "{material}"
+[particles]
+speed = "{speed!r} m/s"
+temperature = "298.15 K"
+[batches]
+spheres = [["0.5 mm", "0.5 mm", "0.5 mm", "0.1 mm"]]
+[cycles]
+count = 1
+duration = "1 us"
+"""
+
+
+@dataclass
+class Setup:
+    """A box that can be stepped."""
+
+    state: State
+    model: Model
+    ledger: Ledger
+    clock: Clock = field(default_factory=Clock)
+    report: InsertReport | None = None
+
+    def advance(self, steps: int) -> None:
+        """Take ``steps`` time steps of the size that the solver chooses."""
+        for _ in range(steps):
+            advance(self.state, self.model, self.clock, self.ledger, 1.0)
+
+    def advance_to(self, end: float) -> None:
+        """Step to the time ``end`` (s) exactly."""
+        while self.clock.in_cycle < end * (1.0 - 1e-12):
+            advance(self.state, self.model, self.clock, self.ledger, end)
+
+    def activate(self) -> None:
+        """Find the active cells anew; call after cells were filled by hand."""
+        self.state.everything_active()
+        self.state.update_activity()
+
+
+def make_model(dx: float, material: str = "copper-ge", speed: float = 600.0, **settings) -> Model:
+    """Return the model of a library material with the default settings; ``settings`` replaces some of them."""
+    scene = parse_scene(_SCENE.format(dx=dx, material=material, speed=speed), "test scene")
+    model = build_model(scene)
+    return model._replace(settings=model.settings._replace(**settings))
+
+
+def never_yields(model: Model) -> Model:
+    """Return ``model`` with a yield stress that nothing reaches: elastic, and compiled as the plastic one."""
+    return model._replace(flow=model.flow._replace(yield_stress=1e30))
+
+
+def make_setup(cells: Sequence[int], model: Model, spheres: Sequence[tuple[float, float, float, float]] = (),
+               velocity: Sequence[float] = (0.0, 0.0, 0.0), temperature: float = 700.0, substrate: float = 0.0,
+               sides: dict[str, str] | None = None, grid: tuple[int, int, int] | None = None) -> Setup:
+    """Return a box of ``cells`` with ``spheres`` (x, y, z, r in cells) and a substrate ``substrate`` cells high.
+
+    Spheres move at ``velocity`` (m/s) and have ``temperature`` (K); the substrate is at rest at 298.15 K.
+    ``grid``: process grid, chosen by the code if not given. Collective.
+    """
+    box = Box(tuple(cells), model.dx)
+    state = State(Decomposition(box, grid), sides or STANDARD_SIDES, model.eos._fields != ("bulk_modulus",))
+    setup = Setup(state, model, build_ledger(model))
+    if substrate > 0.0:
+        paint_substrate(state, substrate * model.dx, 298.15)
+    if len(spheres):
+        columns = np.array(spheres, dtype=float).T * model.dx
+        batch = Batch(*(np.ascontiguousarray(column) for column in columns))
+        setup.report = paint_batch(state, model, batch, 0.0, tuple(velocity), temperature, setup.ledger, 1)
+    setup.activate()
+    return setup
+
+
+def make_block(cells: Sequence[int], model: Model, temperature: float = 298.15,
+               sides: dict[str, str] | None = None) -> Setup:
+    """Return a box that is full of material at rest, between mirrors on all sides if not said otherwise."""
+    setup = make_setup(cells, model, substrate=cells[2], sides=sides or ALL_SYMMETRY)
+    setup.state.views["temperature"][...] = temperature
+    return setup
+
+
+def node_coordinates(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x, y, z (in cells, global) of all local nodes, broadcastable to node arrays [k, j, i]."""
+    x, y, z = (np.arange(n) - GHOST + s for n, s in zip(state.part.node_shape[::-1], state.part.start))
+    return x[None, None, :].astype(float), y[None, :, None].astype(float), z[:, None, None].astype(float)
+
+
+def cell_coordinates(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x, y, z (in cells, global) of all local cell centres, broadcastable to cell arrays [k, j, i]."""
+    x, y, z = (np.arange(n) - GHOST + s + 0.5 for n, s in zip(state.part.cell_shape[::-1], state.part.start))
+    return x[None, None, :], y[None, :, None], z[:, None, None]
