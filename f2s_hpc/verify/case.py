@@ -6,6 +6,7 @@ number it compares. Orders of convergence, verdicts, tables and plots follow fro
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -106,7 +107,7 @@ def _resolutions(text: str) -> tuple[float, ...]:
         levels = tuple(float(part) for part in text.split(","))
     except ValueError:
         levels = ()
-    if not levels or min(levels) <= 0.0 or any(b <= a for a, b in zip(levels, levels[1:])):
+    if not levels or min(levels) <= 0.0 or any(b <= a for a, b in itertools.pairwise(levels)):
         raise InputError(f'--set resolutions={text}: write rising numbers with commas, for example "8,12,16"')
     return levels
 
