@@ -39,9 +39,9 @@ def build_model(scene: Scene) -> Model:
     settings = Settings(
         courant=n.courant, remap_courant=n.remap_courant, strain_per_step=n.strain_per_step,
         viscosity=(n.shock_viscosity_linear, n.shock_viscosity_quadratic), viscous_heating=n.viscous_heating,
-        hourglass=n.hourglass, exchange_strength=n.exchange_strength, exchange_mass_limit=n.exchange_mass_limit,
-        light_mass_floor=n.light_mass_floor, speed_cap=n.speed_cap_factor * speed,
-        speed_limit=n.speed_limit_factor * speed,
+        loss_heating=n.loss_heating, hourglass=n.hourglass, exchange_strength=n.exchange_strength,
+        exchange_mass_limit=n.exchange_mass_limit, light_mass_floor=n.light_mass_floor,
+        speed_cap=n.speed_cap_factor * speed, speed_limit=n.speed_limit_factor * speed,
         conduction=n.conduction and m.conductivity > 0.0, second_order=n.remap_order == 2, dust=n.dust,
         largest_strain=n.largest_strain)
     x, y, z = scene.domain.extents
@@ -54,7 +54,7 @@ def build_state(scene: Scene) -> State:
     """Return the empty, distributed state of a scene (collective)."""
     box = Box(scene.domain.cells, scene.domain.cell_size)
     sides = {side: getattr(scene.domain.faces, side) for side in SIDES}
-    return State(Decomposition(box), sides, scene.mie_grueneisen)
+    return State(Decomposition(box), sides, scene.mie_grueneisen, scene.numerics.loss_heating)
 
 
 def build_ledger(model: Model) -> Ledger:

@@ -64,15 +64,17 @@ FIELDS: tuple[Field, ...] = (
     _velocity("x", (-1, 1, 1)),
     _velocity("y", (1, -1, 1)),
     _velocity("z", (1, 1, -1)),
+    Field("lost_energy", NODE, "m2/s2", "twice the kinetic energy, per mass of a full node, that remap and light-node "
+          "exchange took in the last step; the next one turns it into heat", ghosted=True, saved=True),
     _work("nodal_mass", "1", "mass of the node over that of a node among full cells"),
     _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange"),
     _work("force_y", "N", "y force on the node; likewise"),
     _work("force_z", "N", "z force on the node; likewise"),
-    _work("sweep_x", "1", "volume (in cells) swept in the step by the low x face of the cell"),
-    _work("sweep_y", "1", "volume (in cells) swept in the step by the low y face of the cell"),
-    _work("sweep_z", "1", "volume (in cells) swept in the step by the low z face of the cell"),
+    _work("sweep_x", "1", "volume (in cells) swept by the low x face of the cell; before, viscous pressure (Pa)"),
+    _work("sweep_y", "1", "volume (in cells) swept by the low y face of the cell; before, hourglass power (W)"),
+    _work("sweep_z", "1", "volume (in cells) swept by the low z face of the cell; before, lost energy (J/kg)"),
     _work("volume_flux", "1", "material volume (in cells) through the low face in this sweep; heat in conduction"),
-    _work("mass_flux", "1", "mass (in full cells) through the low face of the cell in the present sweep"),
+    _work("mass_flux", "1", "mass (in full cells) through the low face of the cell in this sweep; before, divergence"),
     _work("dual_flux", "1", "mass (in full nodes) through the low side of the node in the present sweep"),
 )
 
@@ -84,11 +86,13 @@ FORCE = ("force_x", "force_y", "force_z")
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
 
 
-def needed(mie_grueneisen: bool) -> tuple[Field, ...]:
+def needed(mie_grueneisen: bool, loss_heating: bool = True) -> tuple[Field, ...]:
     """Return the fields that a scene needs; the rest are neither allocated nor exchanged."""
-    return tuple(f for f in FIELDS if f.name != "internal_energy" or mie_grueneisen)
+    left_out = {name for name, wanted in (("internal_energy", mie_grueneisen), ("lost_energy", loss_heating))
+                if not wanted}
+    return tuple(f for f in FIELDS if f.name not in left_out)
 
 
-def bytes_per_cell(mie_grueneisen: bool) -> float:
+def bytes_per_cell(mie_grueneisen: bool, loss_heating: bool = True) -> float:
     """Return the memory of all fields per cell that is touched (bytes)."""
-    return 8.0 * len(needed(mie_grueneisen))
+    return 8.0 * len(needed(mie_grueneisen, loss_heating))

@@ -19,10 +19,11 @@ class State:
     kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps.
     """
 
-    def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool) -> None:
+    def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
+                 loss_heating: bool = True) -> None:
         self.decomposition = decomposition
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen)
+        self.fields = fields.needed(mie_grueneisen, loss_heating)
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}
@@ -34,6 +35,7 @@ class State:
         self.ghosted = tuple(f.name for f in self.fields if f.ghosted)
         self.empty = np.zeros(1)
         self.energy = self.flat["internal_energy"] if "internal_energy" in names else self.empty
+        self.lost = self.flat["lost_energy"] if "lost_energy" in names else self.empty
         self.stress = tuple(self.flat[n] for n in fields.STRESS)
         self.velocity = tuple(self.flat[n] for n in fields.VELOCITY)
         self.force = tuple(self.flat[n] for n in fields.FORCE)
@@ -60,7 +62,7 @@ class State:
         return np.array([self.pool.offsets[n] for n in names], dtype=np.int64)
 
     def everything_active(self) -> None:
-        """Forget what was active: after material was put in, the next update looks everywhere."""
+        """Forget what was active, before material put in is exchanged; the next update looks everywhere."""
         self.active[:] = 1
 
     def update_activity(self) -> None:
@@ -118,9 +120,9 @@ class State:
     # --- ghosts -------------------------------------------------------------------------------------
 
     def exchange(self, names: tuple[str, ...]) -> None:
-        """Fill all ghosts of the named fields: from the neighbours first, then behind the sides of the box."""
+        """Fill the ghosts of the named fields: from the neighbours, then behind the sides where blocks are active."""
         self.pool.exchange(names)
-        self.boundary.fill(self.pool.memory, self.pool.offsets, names)
+        self.boundary.fill(self.pool.memory, self.pool.offsets, names, self.active)
 
     def owned(self, name: str) -> np.ndarray:
         """Return the owned part of a field, a view [k, j, i]."""

@@ -181,15 +181,14 @@ def test_a_box_too_small_for_the_ranks_is_refused(capsys, workplace, command):
                  "--set", 'batches.spheres=[["10 um","10 um","6 um","5 um"]]', "--set", "cycles.duration=1 ns"]
     before = snapshot(workplace)
     if mpi.size() == 1:
-        # 5 x 5 x 5 cells are enough for one rank, 2 x 2 x 2 for none
-        arguments += ["--set", "domain.cell_size=10 um", "--set", "domain.substrate_height=8 um"]
+        pytest.skip("one rank takes a box of any size")
     mpi.barrier()
     assert main([command, "two.toml", *arguments]) == 2
     out, err = capsys.readouterr()
     assert not out
     if mpi.is_root():
         assert len(err.splitlines()) == 1
-        assert "5 x 5 x 5" in err or "2 x 2 x 2" in err
+        assert "5 x 5 x 5" in err
         assert "fewer ranks or smaller cells" in err
     mpi.barrier()
     assert snapshot(workplace) == before

@@ -369,7 +369,7 @@ def test_description_states_size_time_and_output():
     assert text.startswith(dump_scene(scene))
     assert 'wall_time = "2 h"' in text
     for words in ("58 x 58 x 100 = 336,400", "29 x 58 x 100", "80.2 MiB on the largest rank", "160.4 MiB in all",
-                  "10 cycles", "0.533 ns", "6,612", "10 of 6.4 MiB", "33.7 MiB each", "5,000 particles",
+                  "10 cycles", "0.533 ns", "6,612", "10 of 6.4 MiB", "36.4 MiB each", "5,000 particles",
                   "painted volume 0.04 mm3", "330.3 um of dense height", scene_hash(scene)[:16]):
         assert words in text, words
     assert parse_scene(text, "check") == scene
@@ -378,7 +378,9 @@ def test_description_states_size_time_and_output():
 def test_output_sizes():
     scene = load_scene("splat")
     assert frame_bytes(scene) == 4 * 32 * 32 * 28 * 5
-    assert checkpoint_bytes(scene) == 8 * (10 * 32 * 32 * 28 + 3 * 33 * 33 * 29)
+    assert checkpoint_bytes(scene) == 8 * (10 * 32 * 32 * 28 + 4 * 33 * 33 * 29)
+    cold = load_scene("splat", ["numerics.loss_heating=false"])
+    assert checkpoint_bytes(cold) == 8 * (10 * 32 * 32 * 28 + 3 * 33 * 33 * 29)
     assert frame_count(scene) == 1 + 8
     assert particle_count(scene) == 1
     assert frame_count(load_scene("splat", ["output.frames=none", "output.frame_interval=30 ns"])) == 2

@@ -107,10 +107,14 @@ def test_random_fields_get_no_new_extrema_and_lose_no_mass(second, rng):
         assert fraction.max() <= 1.0
 
 
-def test_random_velocities_get_no_new_extrema_and_keep_their_momentum(rng):
-    """Nodal momentum, mass times velocity over all nodes, to 1e-13; velocities inside their range.
+def test_random_velocities_keep_their_momentum_and_hardly_overshoot(rng):
+    """Nodal momentum, mass times velocity over all nodes, to 1e-13; velocities may overshoot their range a little.
 
-    Fails when one ``mass_flux[n - p - q]`` of ``dual_fluxes`` becomes ``mass_flux[n - p]``.
+    Heavy nodes by less than 5 % of it, all by less than 20 %.
+
+    Velocities are remapped without a limiter, so noise may overshoot a little.
+    Fails when one ``mass_flux[n - p - q]`` of ``dual_fluxes`` becomes ``mass_flux[n - p]``, or ``- 0.05`` of
+    ``_face_weights`` becomes ``+ 0.05``.
     """
     setup = spheres_of_random_fields(rng)
     state = setup.state
@@ -122,26 +126,61 @@ def test_random_velocities_get_no_new_extrema_and_keep_their_momentum(rng):
         nodal = sum(mass[c:c + state.part.node_shape[0], b:b + state.part.node_shape[1], a:a + state.part.node_shape[2]]
                     for a in (0, 1) for b in (0, 1) for c in (0, 1)) / 8.0
         inside = state.part.owned_nodes
-        return [float((share * nodal * state.views[name])[inside].sum()) for name in VELOCITY], nodal[inside] > 1e-12
+        return ([float((share * nodal * state.views[name])[inside].sum()) for name in VELOCITY],
+                nodal[inside] > 1e-12, nodal[inside] > 0.3)
 
-    before, held = momentum()
+    before, _, _ = momentum()
     for step in range(4):
         state.update_activity()
         random_sweeps(state, rng, 0.08)
         remap_all(state, MODEL, step, setup.ledger)
-    after, held = momentum()
+    after, held, heavy = momentum()
     assert after == pytest.approx(before, rel=1e-13)
     for name in VELOCITY:
         values = state.owned(name)[held]
-        assert values.min() >= 300.0 * (1.0 - 1e-12)
-        assert values.max() <= 900.0 * (1.0 + 1e-12)
+        assert values.min() >= 300.0 - 120.0
+        assert values.max() <= 900.0 + 120.0
+        values = state.owned(name)[heavy]
+        assert values.min() >= 300.0 - 30.0
+        assert values.max() <= 900.0 + 30.0
+
+
+def test_what_the_momentum_remap_loses_is_counted(rng):
+    """Kinetic energy before less after is the sum of what the nodes counted, to 1e-12 of it; none in uniform motion.
+
+    Fails when ``- high_moved[i] * high * high`` of ``_blend_velocity`` becomes ``+``.
+    """
+    setup = spheres_of_random_fields(rng)
+    state = setup.state
+    weights = state.boundary.weights
+    share = (weights[2][:, None, None] * weights[1][None, :, None] * weights[0][None, None, :])[state.part.owned_nodes]
+
+    def kinetic():
+        mass = np.pad(state.views["mass"], 1)
+        nodal = sum(mass[c:c + state.part.node_shape[0], b:b + state.part.node_shape[1], a:a + state.part.node_shape[2]]
+                    for a in (0, 1) for b in (0, 1) for c in (0, 1)) / 8.0
+        square = sum(state.owned(name) ** 2 for name in VELOCITY)
+        return float((share * nodal[state.part.owned_nodes] * square).sum())
+
+    before = kinetic()
+    state.update_activity()
+    random_sweeps(state, rng, 0.08)
+    remap_all(state, MODEL, 0, setup.ledger)
+    lost = float((share * state.owned("lost_energy")).sum())
+    assert lost > 0.001 * before
+    assert before - kinetic() == pytest.approx(lost, rel=1e-11)
+    for name in VELOCITY:
+        state.views[name][...] = 600.0
+    state.views["lost_energy"][...] = 0.0
+    remap_all(state, MODEL, 1, setup.ledger)
+    assert np.abs(state.owned("lost_energy")).max() < 1e-20 * 600.0**2
 
 
 @pytest.mark.parametrize("curvature", [0.0, 1.0])
 def test_second_order_carries_a_profile_through_a_full_block(curvature):
     """A linear field moves by 0.1 cells exactly; of a parabola's error in first order less than 6 % is left.
 
-    Fails when the ``0.5`` of ``_face_weights`` becomes 0.4.
+    Fails when ``/ 6.0`` of ``_face_weights`` becomes ``/ 7.0``.
     """
     errors = {}
     for second in (True, False):

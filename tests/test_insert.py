@@ -11,7 +11,7 @@ from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import OVERFILL, InsertReport, paint_batch, paint_substrate
-from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.fields import BY_NAME, NODE, STRESS, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import paint, remap
 from f2s_hpc.particles.batch import Batch, clipped_volume
@@ -51,7 +51,7 @@ class Setup:
         """Return the global array [k, j, i] of a field, on every rank."""
         part = self.state.part
         own = self.state.owned(name).copy()
-        box = part.box.node_shape if name in (*VELOCITY, "nodal_mass") else part.box.shape
+        box = part.box.node_shape if BY_NAME[name].location == NODE else part.box.shape
         out = np.full(box, np.nan)
         for start, block in mpi.all_gather((part.start, own)):
             out[tuple(slice(s, s + n) for s, n in zip(start[::-1], block.shape))] = block

@@ -114,17 +114,25 @@ def test_the_heat_of_the_ledger_is_in_the_material(courant):
     assert np.isclose(rise, run.energy["heat"], rtol=1e-7, atol=0.0)
 
 
-def test_heat_tends_to_that_of_plastic_work_and_shock_viscosity():
-    """The ledger takes the viscosity's work with the velocity before the kick, the heat with that after: order 1 in dt.
+def test_heat_is_that_of_its_three_sources():
+    """Taylor-Quinney share of the plastic work, all work of the shock viscosity, and what came back from the losses.
 
-    Fails if the Taylor-Quinney factor is used twice, or the material is heated by half the viscous work.
+    Fails if the Taylor-Quinney factor is used twice, or ``closing[i] + rate`` of ``_close_chunk`` loses one of the two.
     """
-    gaps = []
-    for run in (impact(0.5), impact(0.25)):
-        wanted = run.model.bulk.taylor_quinney * run.energy["plastic_work"] + run.energy["shock_viscosity"]
-        gaps.append(abs(run.energy["heat"] / wanted - 1.0))
-    assert gaps[0] < 0.08
-    assert gaps[1] < 0.6 * gaps[0]
+    run = impact(0.5)
+    energy = run.energy
+    wanted = run.model.bulk.taylor_quinney * energy["plastic_work"] + energy["shock_viscosity"]
+    assert energy["heat"] - energy["returned_heat"] == pytest.approx(wanted, rel=1e-6)
+    # what the last step lost heats in the next; elastic energy lost and the mass floor's share do not come back
+    lost = energy["hourglass"] + energy["light_nodes"] + energy["remap_kinetic"]
+    assert energy["returned_heat"] == pytest.approx(run.model.bulk.taylor_quinney * lost, rel=0.15)
+
+
+def test_losses_heat_only_if_asked():
+    """Fails if ``heat_chunk`` leaves out ``losses *``."""
+    run = Run(IMPACT, "numerics.loss_heating=false")
+    assert run.energy["returned_heat"] == 0.0
+    assert "lost_energy" not in run.state.views
 
 
 def test_every_loss_is_a_loss():
@@ -160,7 +168,7 @@ def test_a_restored_ledger_continues_exactly():
     for ledger in (through, split):
         ledger.add("work", first + mpi.rank())
         ledger.add("mass_painted", 7 * mpi.rank())
-        ledger.add_power("viscous_power", 123456789 + mpi.rank(), 3.1e-10)
+        ledger.add_power("hourglass_power", 123456789 + mpi.rank(), 3.1e-10)
     totals = split.totals()
     assert totals["work"] == sum(first + rank for rank in range(mpi.size()))
     assert mpi.all_gather(totals) == [totals] * mpi.size()
@@ -169,7 +177,7 @@ def test_a_restored_ledger_continues_exactly():
     assert split.totals() == totals
     for ledger in (through, split):
         ledger.add("work", second - mpi.rank())
-        ledger.add_power("viscous_power", 987654321, 2.9e-10)
+        ledger.add_power("hourglass_power", 987654321, 2.9e-10)
     assert split.totals() == through.totals()
     assert split.energy(split.totals(), 5, 9) == through.energy(through.totals(), 5, 9)
 
@@ -177,6 +185,6 @@ def test_a_restored_ledger_continues_exactly():
 def test_a_power_over_a_step_is_energy():
     """Fails if ``add_power`` and ``energy`` do not use the same unit: 2**39 in one of them."""
     ledger = Ledger(1e-20, 1e-25)
-    ledger.add_power("viscous_power", 4_000_000_000 if mpi.is_root() else 0, 0.5e-9)
+    ledger.add_power("hourglass_power", 4_000_000_000 if mpi.is_root() else 0, 0.5e-9)
     energy = ledger.energy(ledger.totals(), 0, 0)
-    assert np.isclose(energy["shock_viscosity"], 2e9 * 1e-20, rtol=1e-12, atol=0.0)
+    assert np.isclose(energy["hourglass"], 2e9 * 1e-20, rtol=1e-12, atol=0.0)

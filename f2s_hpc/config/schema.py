@@ -185,18 +185,20 @@ class Numerics(Section):
     remap_courant: Number = Field(default=0.25, gt=0, le=0.45,
                                   description="largest share of a cell that material crosses in a step")
     strain_per_step: Number = Field(default=0.1, gt=0, le=1, description="largest strain increment in a step")
-    shock_viscosity_linear: Number = Field(default=0.06, ge=0, le=10, description="linear shock viscosity")
+    shock_viscosity_linear: Number = Field(default=0.1, ge=0, le=10, description="linear shock viscosity")
     shock_viscosity_quadratic: Number = Field(default=1.2, ge=0, le=10, description="quadratic shock viscosity")
     viscous_heating: Switch = Field(default=True, description="work of the shock viscosity becomes heat")
-    hourglass: Number = Field(default=0.1, ge=0, le=1,
+    loss_heating: Switch = Field(default=True, description="kinetic energy that remap, hourglass control and "
+                                                           "light-node exchange take heats as plastic work does")
+    hourglass: Number = Field(default=0.01, ge=0, le=1,
                               description="share of an hourglass mode removed per sound crossing of a cell")
-    exchange_strength: Number = Field(default=0.03, ge=0, le=0.5, description="momentum exchange of light nodes")
+    exchange_strength: Number = Field(default=0.02, ge=0, le=0.5, description="momentum exchange of light nodes")
     exchange_mass_limit: Number = Field(default=0.3, ge=0, le=1,
                                         description="nodes lighter than this share of a full one exchange momentum")
     light_mass_floor: Number = Field(default=0.05, gt=0, lt=1,
                                      description="least mass that divides a force, over a full node's mass")
     speed_limit_factor: Number = Field(
-        default=1.15, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
+        default=1.25, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
                                         "its neighbours")
     speed_cap_factor: Number = Field(default=2.0, ge=1,
                                      description="speed cap of light nodes over the largest particle speed")

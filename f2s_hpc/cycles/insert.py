@@ -67,8 +67,8 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
         state.views["mass"][k] = share[k]
         state.views["volume_fraction"][k] = share[k]
         state.views["temperature"][k] = temperature
-    state.exchange(state.ghosted)
     state.everything_active()
+    state.exchange(state.ghosted)
 
 
 def _offset(state: State) -> tuple[int, int, int]:
@@ -161,15 +161,16 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     flat, part = state.flat, state.part
     added = np.zeros(part.cell_shape)
     paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), part.box.dx, added)
-    state.boundary.fill(added.reshape(-1), _ALONE, ("mass",))
+    state.everything_active()
+    state.boundary.fill(added.reshape(-1), _ALONE, ("mass",), state.active)
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
                       state.pool.memory, diluted)
     paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
     state.boundary.hold([state.views[n] for n in VELOCITY])
-    state.exchange(state.ghosted)
     state.everything_active()
+    state.exchange(state.ghosted)
     ledger.add("brought_in", kinetic_quanta(state, model) - before)
     quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
     ledger.add("mass_painted", quanta)

@@ -71,8 +71,8 @@ class Simulation:
         arrays, saved = checkpoint.read_checkpoint(path, requests)
         for name, array in arrays.items():
             state.owned(name)[...] = array
-        state.exchange(state.ghosted)
         state.everything_active()
+        state.exchange(state.ghosted)
         self._restore(saved)
 
     def _restore(self, saved: dict) -> None:

@@ -14,7 +14,8 @@ import numpy as np
 
 from f2s_hpc.fields import BY_NAME, CELL, NODE
 from f2s_hpc.grid.box import GHOST, SIDES, Part
-from f2s_hpc.kernels.sides import COPY, MIRROR, VOID, block_inflow, fill_side
+from f2s_hpc.kernels.activity import BLOCK
+from f2s_hpc.kernels.sides import COPY, MIRROR, NONE, VOID, block_inflow, fill_ghosts
 
 _CELL_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": VOID, "outflow": COPY}
 _NODE_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": COPY, "outflow": COPY}
@@ -36,6 +37,7 @@ class Boundary:
         planes = part.node_shape[::-1]
         self.weights = tuple(np.ones(n) for n in planes)
         self.free_motion = np.ones((3, 3, max(planes)))
+        self._rules = {location: self._rules_of(location) for location in (CELL, NODE)}
         self._groups: dict[tuple, list[tuple]] = {}
         for side in self.touched:
             axis, kind = SIDES.index(side) // 2, self.kinds[side]
@@ -52,20 +54,29 @@ class Boundary:
         axis = SIDES.index(side) // 2
         return GHOST + (self.part.count[axis] if side.endswith("high") else 0)
 
-    def fill(self, memory: np.ndarray, offsets: dict[str, int], names: tuple[str, ...]) -> None:
-        """Fill the ghosts of the named fields behind every touched side, x first, then y, then z.
+    def fill(self, memory: np.ndarray, offsets: dict[str, int], names: tuple[str, ...], active: np.ndarray) -> None:
+        """Fill the ghosts of the named fields behind the touched sides where blocks are ``active``: x, then y, then z.
 
-        ``offsets``: where each field starts in ``memory``.
+        ``offsets``: where each field starts in ``memory``; ``active``: uint8 [k, j, block].
         """
         for location, starts, signs in self._grouped(offsets, names):
             on_nodes = location != CELL
             shape = self.part.node_shape if on_nodes else self.part.cell_shape
-            for side in self.touched:
-                axis, high = SIDES.index(side) // 2, side.endswith("high")
-                wall = self.wall_plane(side)
-                rule = (_NODE_RULE if on_nodes else _CELL_RULE)[self.kinds[side]]
-                edge = wall if on_nodes or not high else wall - 1
-                fill_side(memory, starts, shape, axis, high, edge, GHOST, on_nodes, rule, signs[axis])
+            for axis, (rules, walls) in enumerate(self._rules[location]):
+                if rules != (NONE, NONE):
+                    fill_ghosts(memory, starts, shape, axis, rules, walls, GHOST, on_nodes, signs[axis], active, BLOCK)
+
+    def _rules_of(self, location: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+        """Return, per axis, the rules and the edge layers of the low and the high side; NONE where there is no side."""
+        found = []
+        for axis in range(3):
+            rules, edges = [], []
+            for side in SIDES[2 * axis:2 * axis + 2]:
+                rule = (_NODE_RULE if location != CELL else _CELL_RULE)[self.kinds[side]]
+                rules.append(rule if side in self.touched else NONE)
+                edges.append(self.wall_plane(side) - (location == CELL and side.endswith("high")))
+            found.append((tuple(rules), tuple(edges)))
+        return found
 
     def _grouped(self, offsets: dict[str, int], names: tuple[str, ...]) -> list[tuple]:
         """Return, per location, the offsets of the fields of ``names`` there, and their mirror signs per axis."""

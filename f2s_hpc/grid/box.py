@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-GHOST = 3
-"""Ghost layers: the remap of a rank's outermost nodes needs the mass flux one cell outside, whose
-donor may lie two cells outside, whose interface normal reads one cell further."""
+GHOST = 4
+"""Ghost layers: the fifth-order remap of a rank's outermost node reads the mass of the third node below it, which is
+the mean of cells that reach one further. (Three would do for cells: flux one cell outside, donor two, normal three.)"""
 
 SIDES = ("x_low", "x_high", "y_low", "y_high", "z_low", "z_high")
 

@@ -34,7 +34,7 @@ def process_grid(box: Box, ranks: int) -> tuple[int, int, int]:
             if ranks % (px * py):
                 continue
             shape = (px, py, ranks // (px * py))
-            if any(n // p < GHOST for n, p in zip(box.cells, shape)):
+            if any(p > 1 and n // p < GHOST for n, p in zip(box.cells, shape)):
                 continue
             nx, ny, nz = box.cells
             surface = (px - 1) * ny * nz + (py - 1) * nx * nz + (shape[2] - 1) * nx * ny
@@ -72,7 +72,7 @@ class Decomposition:
         self.box = box
         self.grid = grid or process_grid(box, mpi.size())
         cell_ranges = [_ranges(n, p) for n, p in zip(box.cells, self.grid)]
-        if any(min(r) < GHOST for r in cell_ranges):
+        if any(len(r) > 1 and min(r) < GHOST for r in cell_ranges):
             raise InputError(f"process grid {self.grid} leaves a slab thinner than {GHOST} cells")
         node_ranges = [r[:-1] + [r[-1] + 1] for r in cell_ranges]
         cell_da = self._create(box.cells, cell_ranges)

@@ -12,10 +12,14 @@ FULL = 1.0 - 1e-12
 
 
 @inlined
-def limited_slope(behind, ahead):
-    """Return van Leer's (1974) limited difference of two neighbouring differences."""
-    product = behind * ahead
-    return 2.0 * product / (behind + ahead) if product > 0.0 else 0.0
+def limited_step(behind, ahead, share):
+    """Return the limited third-order step from a cell's mean to the mean over the ``share`` of it next to a face.
+
+    ``behind``, ``ahead``: differences to the neighbours; as :func:`f2s_hpc.kernels.remap._limited_values`.
+    """
+    step = (1.0 - share) / 6.0 * ((1.0 + share) * behind + (2.0 - share) * ahead)
+    most = (1.0 - share) * min(abs(behind), abs(ahead))
+    return min(max(step, -most), most) if behind * ahead > 0.0 else 0.0
 
 
 @inlined
@@ -122,8 +126,7 @@ def mass_fluxes(runs, count, window, shape, axis, done, second, gx, gy, gz, mass
                         1.0 + ax * (gx[a + 1] - gx[a]) + ay * (gy[a + row1] - gy[a]) + az * (gz[a + plane1] - gz[a]))
                     rho_down = mass[down] / (
                         1.0 + ax * (gx[b + 1] - gx[b]) + ay * (gy[b + row1] - gy[b]) + az * (gz[b + plane1] - gz[b]))
-                    slope = limited_slope(density - rho_up, rho_down - density)
-                    density += 0.5 * (1.0 - abs(phi) / volume) * slope
+                    density += limited_step(density - rho_up, rho_down - density, abs(phi) / volume)
             moved = phi * density
             mass_flux[n] = min(max(moved, -mass[d]), mass[d])
 

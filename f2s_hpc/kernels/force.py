@@ -17,8 +17,8 @@ W = 64
 """Cells of a row are worked on in chunks of this many; all scratch rows of a chunk lie in one array at fixed
 distances, so the compiler sees that they do not overlap and vectorises, and they stay in the first cache."""
 
-RATE, TOTAL, COEFFICIENT, VISCOUS, POWER, SPEED, STRESS, LEFT, RIGHT, ROWS = 0, 1, 2, 3, 4, 5, 6, 12, 16, 20
-"""Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous and
+RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, LEFT, RIGHT, ROWS = 0, 1, 2, 3, 4, 5, 6, 12, 16, 20
+"""Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous pressure,
 hourglass power, wave speed, six weighted stresses, forces on four left and four right corners."""
 
 
@@ -42,7 +42,7 @@ def _divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, s):
 
 @kernel
 def _pressure(mass, fraction, energy, dx, bulk, eos, viscosity, hourglass, s):
-    """Pressure plus shock viscosity, hourglass coefficient, viscous power and wave speed of a chunk of cells."""
+    """Pressure plus shock viscosity, hourglass coefficient, viscous pressure and wave speed of a chunk of cells."""
     linear, quadratic = viscosity
     shear = 4.0 / 3.0 * bulk.shear_modulus
     for i in range(mass.size):
@@ -58,7 +58,7 @@ def _pressure(mass, fraction, energy, dx, bulk, eos, viscosity, hourglass, s):
         q = -density * dx * closing * broadening
         s[TOTAL * W + i] = p + q
         s[COEFFICIENT * W + i] = hourglass * bulk.density * x * sound * dx * dx / 64.0
-        s[VISCOUS * W + i] = -f * q * closing * dx * dx * dx
+        s[SHOCK * W + i] = q
         s[POWER * W + i] = 0.0
         extra = broadening if closing < 0.0 else 0.0
         fastest = extra + math.sqrt(sound * sound + extra * extra)
@@ -124,7 +124,7 @@ def _add_corners(f, left, right, s):
 
 @kernel
 def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, hourglass, mass, fraction, energy,
-                 stress, u, v, w, fx, fy, fz, power_quantum, sums):
+                 stress, u, v, w, fx, fy, fz, shock, hourglass_power, closing, power_quantum, sums):
     """Add every active cell's forces (N) to its nodes; ``fx``, ``fy``, ``fz`` must be zero before.
 
     Parameters
@@ -139,13 +139,15 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
         Flanagan and Belytschko 1981).
     mass, fraction, energy, stress : flat cell arrays; ``stress`` a tuple of six (Pa).
     u, v, w, fx, fy, fz : flat node arrays, velocity (m/s) and force (N).
-    sums : int64[2], power of shock viscosity and of hourglass control in units of ``power_quantum``.
+    shock, hourglass_power, closing : flat node-shaped arrays that take, per cell, the viscous pressure (Pa), the power
+        of hourglass control (W) and the velocity divergence (1/s), for the heat they become.
+    sums : int64[1], power of hourglass control in units of ``power_quantum``.
 
     Returns the largest effective wave speed (m/s) over the owned cells with material, and its flat cell index.
     """
     ny, nx = shape
     s, nothing = np.empty(ROWS * W), np.zeros(W)
-    area = 0.25 * dx * dx
+    area, per_quantum = 0.25 * dx * dx, 1.0 / power_quantum
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     fastest, where = 0.0, 0
     for r in range(count):
@@ -175,10 +177,13 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
                 _add_corners(g[b:b + m], (LEFT + 1) * W, (RIGHT + 1) * W, s)
                 _add_corners(g[c:c + m], (LEFT + 2) * W, (RIGHT + 2) * W, s)
                 _add_corners(g[d:d + m], (LEFT + 3) * W, (RIGHT + 3) * W, s)
+            for i in range(n):
+                shock[a + i] = s[SHOCK * W + i]
+                hourglass_power[a + i] = s[POWER * W + i]
+                closing[a + i] = s[RATE * W + i]
             if counts:
                 for i in range(max(owned[4] - first, 0), min(owned[5] - first, n)):
-                    sums[0] += np.int64(s[VISCOUS * W + i] / power_quantum)
-                    sums[1] += np.int64(s[POWER * W + i] / power_quantum)
+                    sums[0] += np.int64(s[POWER * W + i] * per_quantum)
                     if not s[SPEED * W + i] <= fastest:
                         fastest, where = s[SPEED * W + i], cell + i
     return fastest, where

@@ -15,6 +15,10 @@ FAST_STRENGTH = 0.12
 """Strength of the momentum exchange between a node beyond the speed limit and its neighbours."""
 
 
+LIGHTEST = 1e-9
+"""Nodes below this mass (in full nodes) give no heat: their share of it is below round-off."""
+
+
 @kernel
 def clear_nodes(runs, count, shape, fx, fy, fz):
     """Zero the force arrays on every node that an active cell touches."""
@@ -99,17 +103,18 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
 
 
 @kernel
-def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, v, w, du, dv, dw):
+def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, v, w, du, dv, dw, lost):
     """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
 
     A pair of neighbours along an axis shares momentum if both are lighter than ``limit`` full nodes
     (with ``strength``), or if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH): the pair's
     lighter mass times the strength times the velocity difference passes from one to the other, so the
-    pair keeps its momentum and no pair overshoots (strength < 1/6).
+    pair keeps its momentum and no pair overshoots (strength < 1/6). Adds to ``lost`` each node's half of the kinetic
+    energy that its pairs lose (half full nodes (m/s)^2), unless that is an array of one number.
     """
     ny, nx = shape
     strides = (1, nx + 1, (nx + 1) * (ny + 1))
-    everywhere = fast < math.inf
+    everywhere, keeps = fast < math.inf, lost.size > 1
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -122,6 +127,7 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, 
             if m <= 0.0 or (m >= limit and not everywhere):
                 continue
             quick = u[n] * u[n] + v[n] * v[n] + w[n] * w[n] > fast * fast
+            pairs = 0.0
             for axis in range(3):
                 for side in (-1, 1):
                     o = n + side * strides[axis]
@@ -132,9 +138,32 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, 
                     if quick or u[o] * u[o] + v[o] * v[o] + w[o] * w[o] > fast * fast:
                         pair = max(pair, FAST_STRENGTH)
                     share = pair * min(m, other) / m
-                    du[n] += share * (u[o] - u[n])
-                    dv[n] += share * (v[o] - v[n])
-                    dw[n] += share * (w[o] - w[n])
+                    x, y, z = u[o] - u[n], v[o] - v[n], w[o] - w[n]
+                    du[n] += share * x
+                    dv[n] += share * y
+                    dw[n] += share * z
+                    pairs += share * (x * x + y * y + z * z)
+            if keeps:
+                # sum over pairs of p |du|^2 less sum m |change|^2: what all nodes together lose, in any frame
+                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n]))
+
+
+@kernel
+def specific_losses(runs, count, window, shape, nodal, lost, specific):
+    """Turn the kinetic energy that nodes lost into J per kg of their mass, and start counting anew.
+
+    ``lost``: half full nodes (m/s)^2; ``specific`` takes the result, on the nodes of ``window`` and around.
+    """
+    ny, nx = shape
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        for n in range(row + max(runs[r, 2], window[4]), row + min(runs[r, 3], window[5])):
+            m = nodal[n]
+            specific[n] = 0.5 * lost[n] / max(m, 1e-300) if m > LIGHTEST else 0.0
+            lost[n] = 0.0
 
 
 @kernel

@@ -8,15 +8,26 @@ import numpy as np
 
 from f2s_hpc._jit import inlined, kernel
 from f2s_hpc.kernels.force import W
-from f2s_hpc.materials.flow_stress import return_map, static_flow_stress
+from f2s_hpc.kernels.plasticity import (
+    AFTER,
+    ELASTIC_AFTER,
+    ELASTIC_BEFORE,
+    GRADIENT,
+    MISES,
+    NORM,
+    RATIO,
+    RETURNED,
+    ROWS,
+    SHAPE_AFTER,
+    SHAPE_BEFORE,
+    STRAIN,
+    TRIAL,
+    VISCOUS,
+    VOLUME,
+    heat_chunk,
+    return_chunk,
+)
 from f2s_hpc.materials.pressure import pressure, stored_energy
-
-GRADIENT, TRIAL, MISES, STRAIN, STATIC, RATIO, PLASTIC, FLOW = 0, 9, 15, 16, 17, 18, 19, 20
-AFTER, VOLUME, VISCOUS, SHAPE_BEFORE, SHAPE_AFTER, POWER, HEAT, ROWS = 21, 22, 23, 24, 25, 26, 27, 28
-"""Scratch rows of a chunk of cells: nine of the velocity gradient, six of the trial stress, its von
-Mises stress, the equivalent strain increment, static flow stress, return ratio, plastic strain
-increment, flow stress; volume fraction after, volume ratio, viscous heat, s:s before and after, stress
-power, heat."""
 
 
 @kernel
@@ -133,70 +144,23 @@ def closure(x, fraction, jacobian, energy, eos, spall):
 
 
 @kernel
-def _close_chunk(mass, fraction, energy, dt, dx, bulk, eos, viscosity, s):
-    """Volume ratio, volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk."""
-    stiff = bulk.bulk_modulus + 4.0 / 3.0 * bulk.shear_modulus
+def _close_chunk(mass, fraction, energy, shock, closing, dt, bulk, eos, s):
+    """Volume ratio, volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk.
+
+    ``shock``, ``closing``: viscous pressure (Pa) in this step's forces, and the divergence (1/s) before them: its work
+    over the step is that at the mean of the divergences before and after, as it is for the nodes.
+    """
     for i in range(mass.size):
-        x, before = mass[i], fraction[i]
-        e = energy[i]
         rate = s[i] + s[4 * W + i] + s[8 * W + i]
         jacobian = 1.0 + dt * rate
         s[VOLUME * W + i] = jacobian
-        s[AFTER * W + i] = closure(x, before, jacobian, e, eos, bulk.spall_pressure)
-        closing = min(rate, 0.0) if before >= 1.0 else 0.0
-        density = bulk.density * max(x, 1e-300)
-        q = -density * dx * closing * (viscosity[0] * math.sqrt(stiff / density)
-                                       - viscosity[1] * viscosity[1] * dx * closing)
-        s[VISCOUS * W + i] = -q * closing * dt
-
-
-@kernel
-def _static_chunk(flow, mass, peeq, temperature, s):
-    """Static flow stress of a chunk of cells; no return to it yet."""
-    for i in range(peeq.size):
-        s[STATIC * W + i] = static_flow_stress(flow, peeq[i], max(temperature[i], 1.0))
-    for i in range(peeq.size):
-        s[RATIO * W + i] = 1.0
-        s[PLASTIC * W + i] = 0.0
-        s[FLOW * W + i] = 0.0
-
-
-@kernel
-def _return_chunk(flow, mass, peeq, temperature, dt, shear_modulus, s):
-    """Return the trial stress of the cells of a chunk that yield to their flow stress, and raise their PEEQ."""
-    for i in range(peeq.size):
-        mises = s[MISES * W + i]
-        if mises > s[STATIC * W + i] and mass[i] > 0.0:
-            plastic, stress, _ = return_map(flow, mises, shear_modulus, peeq[i], dt, temperature[i], s[STRAIN * W + i])
-            s[PLASTIC * W + i] = plastic
-            s[FLOW * W + i] = stress
-            s[RATIO * W + i] = stress / mises
-            peeq[i] += plastic
-
-
-@kernel
-def _write_stress(stress, mass, trial, s):
-    """Write one component of the returned stress of a chunk back to its array; void keeps zero."""
-    for i in range(mass.size):
-        stress[i] = s[RATIO * W + i] * s[trial * W + i] if mass[i] > 0.0 else 0.0
-
-
-@kernel
-def _heat_chunk(mass, temperature, bulk, heat_viscous, s):
-    """Taylor-Quinney and viscous heat per cell volume (J/m3) of a chunk, and the temperature it gives."""
-    for i in range(mass.size):
-        ratio = s[RATIO * W + i]
-        s[SHAPE_AFTER * W + i] *= ratio * ratio
-        s[POWER * W + i] = s[FLOW * W + i] * s[PLASTIC * W + i] * s[AFTER * W + i] * s[VOLUME * W + i]
-        s[HEAT * W + i] = bulk.taylor_quinney * s[POWER * W + i] + heat_viscous * s[VISCOUS * W + i]
-    for i in range(mass.size):
-        capacity = max(mass[i], 1e-300) * bulk.density * bulk.specific_heat
-        temperature[i] += s[HEAT * W + i] / capacity if mass[i] > 0.0 else 0.0
+        s[AFTER * W + i] = closure(mass[i], fraction[i], jacobian, energy[i], eos, bulk.spall_pressure)
+        s[VISCOUS * W + i] = -0.5 * dt * shock[i] * (closing[i] + rate)
 
 
 @kernel
 def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
-    """Add pressure, stress and viscous work to the specific internal energy of a chunk (Mie-Grueneisen only)."""
+    """Add pressure, stress and viscous work, and what the numerics lost, to the internal energy of a chunk (J/kg)."""
     for i in range(mass.size):
         x, e = mass[i], energy[i]
         if x <= 0.0:
@@ -215,50 +179,75 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
         jacobian, after = s[VOLUME * W + i], s[AFTER * W + i]
         p_old = pressure(eos, x, e) if fraction[i] >= 1.0 else 0.0
         p_new = pressure(eos, x / jacobian, e) if after >= 1.0 else 0.0
-        work = dt * power * after * jacobian + s[VISCOUS * W + i] - 0.5 * (p_old + p_new) * (jacobian - 1.0)
+        lost = s[RETURNED * W + i] / max(bulk.taylor_quinney, 1e-300)
+        work = dt * power * after * jacobian + s[VISCOUS * W + i] - 0.5 * (p_old + p_new) * (jacobian - 1.0) + lost
         energy[i] = e + work / (x * bulk.density)
 
 
 @kernel
-def _sum_chunk(mass, fraction, bulk, eos, volume, quantum, s, sums):
-    """Add a chunk's energies to ``sums``, write the new volume fraction; return the steepest gradient and its cell."""
-    steepest, where = 0.0, 0
-    modulus = 4.0 * bulk.shear_modulus
+def _write_stress(stress, mass, trial, s):
+    """Write one component of the returned stress of a chunk back to its array; void keeps zero."""
     for i in range(mass.size):
-        x = mass[i]
-        if x <= 0.0:
-            continue
-        before, after, jacobian = fraction[i], s[AFTER * W + i], s[VOLUME * W + i]
-        old = before * s[SHAPE_BEFORE * W + i] / modulus + (x * stored_energy(eos, x) if before >= 1.0 else 0.0)
-        new = after * jacobian * s[SHAPE_AFTER * W + i] / modulus + (
-            x * stored_energy(eos, x / jacobian) if after >= 1.0 else 0.0)
-        sums[0] += np.int64(old * volume / quantum)
-        sums[1] += np.int64(new * volume / quantum)
-        sums[2] += np.int64(s[POWER * W + i] * volume / quantum)
-        sums[3] += np.int64(s[HEAT * W + i] * volume / quantum)
-        fraction[i] = after
-        if after >= 0.5:
-            norm = 0.0
-            for a in range(9):
-                norm += s[a * W + i] * s[a * W + i]
-            if not norm <= steepest:
-                steepest, where = norm, i
-    return steepest, where
+        stress[i] = s[RATIO * W + i] * s[trial * W + i] if mass[i] > 0.0 else 0.0
 
 
 @kernel
-def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow, viscosity, heat_viscous, mass,
-                    fraction, energy, stress, peeq, temperature, u, v, w, quantum, sums):
+def _elastic_chunk(mass, fraction, bulk, eos, s):
+    """Elastic energy per cell volume (J/m3) before and after, and squared gradient norm of the solid cells."""
+    inverse = 1.0 / (4.0 * bulk.shear_modulus)
+    for i in range(mass.size):
+        x, before, after = mass[i], fraction[i], s[AFTER * W + i]
+        some = max(x, 1e-300)
+        jacobian = s[VOLUME * W + i]
+        old = before * s[SHAPE_BEFORE * W + i] * inverse + (some * stored_energy(eos, some) if before >= 1.0 else 0.0)
+        new = after * jacobian * s[SHAPE_AFTER * W + i] * inverse + (
+            some * stored_energy(eos, some / jacobian) if after >= 1.0 else 0.0)
+        s[ELASTIC_BEFORE * W + i] = old if x > 0.0 else 0.0
+        s[ELASTIC_AFTER * W + i] = new if x > 0.0 else 0.0
+    for i in range(mass.size):
+        norm = 0.0
+        for a in range(9):
+            norm += s[a * W + i] * s[a * W + i]
+        s[NORM * W + i] = norm if s[AFTER * W + i] >= 0.5 and mass[i] > 0.0 else 0.0
+
+
+@kernel
+def _sum_row(row, n, scale, s):
+    """Return the exact integer sum of a scratch row in quanta; ``scale``: quanta per unit."""
+    total = np.int64(0)
+    for i in range(n):
+        total += np.int64(s[row * W + i] * scale)
+    return total
+
+
+@kernel
+def _steepest(n, fastest, s):
+    """Return the largest squared gradient norm of a chunk, not below ``fastest`` unless it is NaN, and its place."""
+    where = -1
+    for i in range(n):
+        if not s[NORM * W + i] <= fastest:
+            fastest, where = s[NORM * W + i], i
+    return fastest, where
+
+
+@kernel
+def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow, heating, mass, fraction, energy,
+                    stress, peeq, temperature, u, v, w, shock, hourglass, node_heat, closing, quantum, sums):
     """Strain, stress, plastic flow, heating and closure of the cells in ``window``.
 
-    Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p),
-    shock viscosity heats in full when ``heat_viscous`` is 1. ``fraction`` becomes the volume fraction
-    of the deformed cell. ``sums`` int64[4] in units of ``quantum`` (J): elastic energy before and
-    after, plastic work, heat. Returns the largest velocity-gradient norm (1/s) of the cells at least
+    Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p).
+    ``heating``: (share of the shock viscosity's work that heats, share of what hourglass control, remap and light-node
+    exchange took that heats as plastic work does). ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg),
+    ``closing`` (1/s): node-shaped arrays; what the forces of this step and the losses of the last one left to be turned
+    into heat. ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[6] in units of
+    ``quantum`` (J): elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from
+    numerical losses. Returns the largest velocity-gradient norm (1/s) of the cells at least
     half full and the flat index of that cell.
     """
     ny, nx = shape
     s, nothing, carried = np.empty(ROWS * W), np.zeros(W), energy.size > 1
+    place = np.empty(W, dtype=np.int64)
+    scale = dx * dx * dx / quantum
     fastest, where = 0.0, 0
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
@@ -279,15 +268,20 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
                           stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
             x, f, t = mass[cell:end], fraction[cell:end], temperature[cell:end]
             e = energy[cell:end] if carried else nothing[:n]
-            _close_chunk(x, f, e, dt, dx, bulk, eos, viscosity, s)
-            _static_chunk(flow, x, peeq[cell:end], t, s)
-            _return_chunk(flow, x, peeq[cell:end], t, dt, bulk.shear_modulus, s)
+            _close_chunk(x, f, e, shock[a:a + n], closing[a:a + n], dt, bulk, eos, s)
+            return_chunk(flow, x, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
+            heat_chunk(x, t, bulk, heating, dt / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
+                       node_heat[b:b + m], node_heat[c:c + m], node_heat[d:d + m], s)
             if carried:
                 _internal_energy(x, f, e, stress, cell, dt, bulk, eos, s)
             for component in range(6):
                 _write_stress(stress[component][cell:end], x, TRIAL + component, s)
-            _heat_chunk(x, t, bulk, heat_viscous, s)
-            steepest, at = _sum_chunk(x, f, bulk, eos, volume=dx * dx * dx, quantum=quantum, s=s, sums=sums)
-            if not steepest <= fastest:
-                fastest, where = steepest, cell + at
+            _elastic_chunk(x, f, bulk, eos, s)
+            for i in range(n):
+                f[i] = s[AFTER * W + i] if x[i] > 0.0 else f[i]
+            for term in range(6):
+                sums[term] += _sum_row(ELASTIC_BEFORE + term, n, scale, s)
+            fastest, at = _steepest(n, fastest, s)
+            if at >= 0:
+                where = cell + at
     return math.sqrt(fastest), where

@@ -127,6 +127,21 @@ def _rate_terms_overload(flow):
 
 
 @inlined
+def cold_flow_stress(flow, eps, rate):
+    """Return the flow stress over its thermal factor, and its derivatives in strain and rate (Pa, Pa, Pa s).
+
+    Without branches, so that loops over it vectorise.
+    """
+    h, r, dh, dr = hardening(flow, eps)
+    rate_1, rate_2, b = rate_terms(flow)
+    above_1, above_2 = max(rate, rate_1), max(rate, rate_2)
+    decades = logarithm(above_1 / rate_1)
+    stress = (h + r * decades) + b * logarithm(above_2 / rate_2)
+    slope_rate = (r / above_1 if rate > rate_1 else 0.0) + (b / above_2 if rate > rate_2 else 0.0)
+    return stress, dh + dr * decades, slope_rate
+
+
+@inlined
 def flow_stress(flow, eps, rate, temperature):
     """Return the flow stress and its derivatives in strain and in rate.
 
@@ -135,17 +150,7 @@ def flow_stress(flow, eps, rate, temperature):
     strain is infinite at zero strain where the exponent is below one.
     """
     theta = softening(flow, temperature)
-    h, r, dh, dr = hardening(flow, eps)
-    rate_1, rate_2, b = rate_terms(flow)
-    stress, slope_strain, slope_rate = h, dh, 0.0
-    if rate > rate_1:
-        decades = logarithm(rate / rate_1)
-        stress += r * decades
-        slope_strain += dr * decades
-        slope_rate += r / rate
-    if rate > rate_2 and b != 0.0:
-        stress += b * logarithm(rate / rate_2)
-        slope_rate += b / rate
+    stress, slope_strain, slope_rate = cold_flow_stress(flow, eps, rate)
     return theta * stress, theta * slope_strain, theta * slope_rate
 
 
@@ -153,6 +158,24 @@ def flow_stress(flow, eps, rate, temperature):
 def static_flow_stress(flow, eps, temperature):
     """Return the flow stress (Pa) at zero rate: what a trial stress must exceed to flow."""
     return softening(flow, temperature) * hardening(flow, eps)[0]
+
+
+@inlined
+def return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high):
+    """Do one bracketed Newton step of the radial return: increment, low, high anew, and 1.0 if it was the last.
+
+    ``theta``: thermal factor; ``stiffness``: 3 G. A step that leaves the bracket becomes a bisection. The last step is
+    taken where the residual is below 1e-13 of the trial stress, or the bracket has shrunk to round-off.
+    """
+    stress, slope_strain, slope_rate = cold_flow_stress(flow, eps + increment, increment / dt)
+    residual = (trial - stiffness * increment) - theta * stress
+    low = increment if residual > 0.0 else low
+    high = high if residual > 0.0 else increment
+    proposal = increment + residual / (stiffness + theta * (slope_strain + slope_rate / dt))
+    proposal = proposal if (proposal > low and proposal < high) else 0.5 * (low + high)
+    small = abs(residual) <= 1e-13 * trial
+    last = small or proposal == increment or high - low <= 1e-16 * high
+    return increment if small else proposal, low, high, 1.0 if last else 0.0
 
 
 @kernel
@@ -173,26 +196,15 @@ def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
     static = static_flow_stress(flow, eps, temperature)
     if trial <= static:
         return 0.0, static, 0
+    theta = softening(flow, temperature)
     low, high = 0.0, (trial - static) / stiffness
     increment = guess if low < guess < high else 0.5 * high
-    stress = static
-    for iteration in range(1, MAX_ITERATIONS + 1):
-        stress, slope_strain, slope_rate = flow_stress(flow, eps + increment, increment / dt, temperature)
-        residual = trial - stiffness * increment - stress
-        if abs(residual) <= 1e-13 * trial:
-            return increment, stress, iteration
-        if residual > 0.0:
-            low = increment
-        else:
-            high = increment
-        step = residual / (stiffness + slope_strain + slope_rate / dt)
-        proposal = increment + step
-        if not low < proposal < high:
-            proposal = 0.5 * (low + high)
-        if proposal == increment or high - low <= 1e-16 * high:
-            return proposal, trial - stiffness * proposal, iteration
-        increment = proposal
-    return increment, trial - stiffness * increment, MAX_ITERATIONS
+    iteration, last = 0, 0.0
+    while last == 0.0 and iteration < MAX_ITERATIONS:
+        increment, low, high, last = return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high)
+        iteration += 1
+    return increment, trial - stiffness * increment, iteration
 
 
-__all__ = ["MAX_ITERATIONS", "flow_stress", "hardening", "rate_terms", "return_map", "softening", "static_flow_stress"]
+__all__ = ["MAX_ITERATIONS", "cold_flow_stress", "flow_stress", "hardening", "rate_terms", "return_map", "return_step",
+           "softening", "static_flow_stress"]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from f2s_hpc.fields import VELOCITY
+from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import force, momentum, remap, strain
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -17,7 +18,8 @@ def forces(state: State, model: Model, ledger_power: np.ndarray) -> tuple[float,
     """Sum the cells' forces on the owned nodes.
 
     Reads mass, volume fraction, stress (ghosts valid) and the velocity of the last step; writes the
-    nodal masses and forces. ``ledger_power`` int64[2] receives the power of shock viscosity and hourglass control.
+    nodal masses and forces, and, into the arrays of the sweeps, what will be heat: viscous pressure and hourglass
+    power of the cells, lost energy of the nodes. ``ledger_power`` int64[1] receives the power of hourglass control.
     Returns the largest effective wave speed (m/s) and the flat index of its cell.
     """
     runs, count = state.runs
@@ -25,11 +27,15 @@ def forces(state: State, model: Model, ledger_power: np.ndarray) -> tuple[float,
     momentum.clear_nodes(runs, count, shape, *state.force)
     remap.nodal_masses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["mass"],
                        state.flat["nodal_mass"])
+    if state.lost.size > 1:
+        momentum.specific_losses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["nodal_mass"],
+                                 state.lost, state.sweep[2])
     s = model.settings
     return force.nodal_forces(
         runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, model.bulk,
         model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
-        state.stress, *state.velocity, *state.force, model.energy_quantum * 1e9, ledger_power)
+        state.stress, *state.velocity, *state.force, *state.sweep[:2], state.flat["mass_flux"],
+        model.energy_quantum * 1e9, ledger_power)
 
 
 def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
@@ -59,7 +65,7 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float)
     nodal = state.flat["nodal_mass"]
     fast = s.speed_limit if fastest > 0.8 * s.speed_limit else math.inf
     momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit, fast,
-                            nodal, *state.velocity, *state.force)
+                            nodal, *state.velocity, *state.force, state.lost)
     sums = np.zeros(4, dtype=np.int64)
     speeds = momentum.apply_exchange(
         runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, state.boundary.weights,
@@ -79,17 +85,18 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger) -> tuple[float
     """
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
-    full = ((3, 3, 3), (3, 3, 3))
-    strain.face_fluxes(runs, count, state.cell_window(*full), shape, dt / model.dx, *state.velocity, *state.sweep)
-    sums = np.zeros(4, dtype=np.int64)
     s = model.settings
+    sums = np.zeros(6, dtype=np.int64)
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, model.dx, s.largest_strain, model.bulk, model.eos, model.flow,
-        s.viscosity, 1.0 if s.viscous_heating else 0.0, state.flat["mass"], state.flat["volume_fraction"],
-        state.energy, state.stress, state.flat["peeq"], state.flat["temperature"], *state.velocity,
-        model.energy_quantum, sums)
-    for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat"), sums):
+        (float(s.viscous_heating), float(s.loss_heating)), state.flat["mass"], state.flat["volume_fraction"],
+        state.energy, state.stress, state.flat["peeq"], state.flat["temperature"], *state.velocity, *state.sweep,
+        state.flat["mass_flux"], model.energy_quantum, sums)
+    for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned"),
+                           sums):
         ledger.add(name, value)
+    full = ((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
+    strain.face_fluxes(runs, count, state.cell_window(*full), shape, dt / model.dx, *state.velocity, *state.sweep)
     state.exchange(tuple(n for n in state.moving_cells if n != "mass"))
     return gradient, where
 

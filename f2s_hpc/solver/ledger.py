@@ -20,12 +20,13 @@ ENERGY_TERMS = {
     "remap_elastic": "elastic energy lost in the stress remap and the closure",
     "through_faces": "kinetic energy that left through open faces",
     "remainder": "what no term explains",
-    "heat": "heat from plastic work and shock viscosity (contained in those terms, not a term of the balance)",
+    "heat": "heat from plastic work, shock viscosity and numerical losses (contained in those, no term of the balance)",
+    "returned_heat": "share of that heat that comes from hourglass control, remap and light nodes",
 }
 
-_COUNTS = ("brought_in", "work", "plastic_work", "viscous_power", "hourglass_power", "heat", "exchanged", "capped",
-           "withheld", "kinetic_before", "kinetic_after", "elastic_before", "elastic_after", "through_faces",
-           "mass_left", "mass_capped", "mass_painted", "nodes_capped")
+_COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned",
+           "exchanged", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before", "elastic_after",
+           "through_faces", "mass_left", "mass_capped", "mass_painted", "nodes_capped")
 
 
 class Ledger:
@@ -67,7 +68,7 @@ class Ledger:
             "kinetic": kinetic_now * joule,
             "elastic": elastic_now * joule,
             "plastic_work": totals["plastic_work"] * joule,
-            "shock_viscosity": totals["viscous_power"] * power,
+            "shock_viscosity": totals["shock_viscosity"] * joule,
             "hourglass": totals["hourglass_power"] * power,
             "light_nodes": light * joule,
             "remap_kinetic": remap_kinetic * joule,
@@ -77,4 +78,5 @@ class Ledger:
         spent = sum(value for name, value in terms.items() if name != "brought_in")
         terms["remainder"] = terms["brought_in"] - spent
         terms["heat"] = totals["heat"] * joule
+        terms["returned_heat"] = totals["returned"] * joule
         return terms

@@ -15,6 +15,7 @@ class Settings(NamedTuple):
     strain_per_step: float
     viscosity: tuple[float, float]  # linear, quadratic
     viscous_heating: bool
+    loss_heating: bool
     hourglass: float
     exchange_strength: float
     exchange_mass_limit: float  # full nodes

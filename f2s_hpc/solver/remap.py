@@ -62,15 +62,17 @@ def _count_losses(state: State, model: Model, axis: int, ledger: Ledger) -> None
 def _sweep_nodes(state: State, model: Model, axis: int) -> None:
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
-    remap.nodal_masses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["mass"],
+    remap.nodal_masses(runs, count, state.node_window((3, 3, 3), (3, 3, 3)), shape, state.flat["mass"],
                        state.flat["nodal_mass"])
     high = [0, 0, 0]
     high[axis] = 1
     remap.dual_fluxes(runs, count, state.node_window(high=tuple(high)), shape, axis, state.flat["mass_flux"],
                       state.flat["dual_flux"])
     ny, nx = (n + 1 for n in shape)
+    # where losses do not heat they are counted in an array that is free until the next forces
+    lost = state.lost if state.lost.size > 1 else state.flat["force_x"]
     _sweep_fields(state, model, axis, state.node_window(), (nx * ny, nx), state.offsets(VELOCITY),
-                  state.flat["nodal_mass"], state.flat["dual_flux"])
+                  state.flat["nodal_mass"], state.flat["dual_flux"], lost)
 
 
 def _sweep_cells(state: State, model: Model, axis: int, done: int) -> None:
@@ -78,27 +80,29 @@ def _sweep_cells(state: State, model: Model, axis: int, done: int) -> None:
     shape = state.part.cell_shape[1:]
     ny, nx = shape
     _sweep_fields(state, model, axis, state.cell_window(), (nx * ny, nx), state.offsets(state.carried_cells),
-                  state.flat["mass"], state.flat["mass_flux"])
+                  state.flat["mass"], state.flat["mass_flux"], state.empty)
     remap.sweep_mass(runs, count, state.cell_window(), shape, axis, done, *state.sweep, state.flat["volume_flux"],
                      state.flat["mass_flux"], state.flat["mass"], state.flat["volume_fraction"])
 
 
 def _sweep_fields(state: State, model: Model, axis: int, window: tuple[int, ...], strides: tuple[int, int],
-                  offsets: np.ndarray, masses: np.ndarray, moved: np.ndarray) -> None:
+                  offsets: np.ndarray, masses: np.ndarray, moved: np.ndarray, lost: np.ndarray) -> None:
     ny, nx = (n + 1 for n in state.part.cell_shape[1:])
     moved_strides = (nx * ny, nx)
     second = float(model.settings.second_order)
     memory = state.pool.memory
     if axis == 0:
         runs, count = state.runs
-        remap.sweep_along_rows(runs, count, window, strides, moved_strides, second, memory, offsets, masses, moved)
+        remap.sweep_along_rows(runs, count, window, strides, moved_strides, second, memory, offsets, masses, moved,
+                               lost)
         return
     columns, count = state.columns(axis)
     k0, k1, j0, j1, i0, i1 = window
     if axis == 2:
         window = (j0, j1, k0, k1, i0, i1)
         strides, moved_strides = strides[::-1], moved_strides[::-1]
-    remap.sweep_across_rows(columns, count, window, strides, moved_strides, second, memory, offsets, masses, moved)
+    remap.sweep_across_rows(columns, count, window, strides, moved_strides, second, memory, offsets, masses, moved,
+                            lost)
 
 
 def _close(state: State, model: Model, ledger: Ledger) -> None:

@@ -44,14 +44,13 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     """
     state.update_activity()
     clock.active_cell_steps += state.active_cells()
-    power = np.zeros(2, dtype=np.int64)
+    power = np.zeros(1, dtype=np.int64)
     limits = clock.limits
     limits.wave, limits.wave_cell = lagrange.forces(state, model, power)
     size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle)
     _refuse_collapse(state, model, size, limits)
     dt, clock.stop = size.dt, bool(size.rates[4])
-    ledger.add_power("viscous_power", power[0], dt)
-    ledger.add_power("hourglass_power", power[1], dt)
+    ledger.add_power("hourglass_power", power[0], dt)
 
     lagrange.kick(state, model, dt, ledger)
     limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(
