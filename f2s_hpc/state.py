@@ -19,10 +19,11 @@ class State:
     kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps.
     """
 
-    def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool) -> None:
+    def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
+                 origin: bool = False) -> None:
         self.decomposition = decomposition
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen)
+        self.fields = fields.needed(mie_grueneisen, origin)
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}

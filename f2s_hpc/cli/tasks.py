@@ -40,8 +40,8 @@ def check(scene: Scene) -> str:
     decomposition = Decomposition(Box(scene.domain.cells, scene.domain.cell_size))
     parts = mpi.all_gather(decomposition.part.count)
     particles, volume = _painted(scene, plan)
-    text = describe(scene, mpi.size(), parts, fields.bytes_per_cell(scene.mie_grueneisen), painted_volume=volume,
-                    particles=particles)
+    per_cell = fields.bytes_per_cell(scene.mie_grueneisen, scene.output.origin)
+    text = describe(scene, mpi.size(), parts, per_cell, painted_volume=volume, particles=particles)
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
 
 

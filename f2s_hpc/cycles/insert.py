@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.fields import VELOCITY
+from f2s_hpc.fields import ORIGIN, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import momentum, paint, remap
 from f2s_hpc.particles.batch import Batch
@@ -166,6 +166,9 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
                       state.pool.memory, diluted)
+    if ORIGIN in state.views:
+        new = added > 0.0
+        state.views[ORIGIN][new] += added[new] / state.views["mass"][new]  # the old share was diluted just now
     paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
     state.boundary.hold([state.views[n] for n in VELOCITY])
     state.exchange(state.ghosted)
