@@ -158,9 +158,21 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
 
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
          ledger: Ledger, report: InsertReport) -> None:
+    added = np.zeros(state.part.cell_shape)
+    paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), state.part.box.dx, added)
+    quanta = add_material(state, model, added, velocity, temperature, ledger)
+    report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3
+
+
+def add_material(state: State, model: Model, added: np.ndarray, velocity: tuple[float, float, float],
+                 temperature: float, ledger: Ledger) -> int:
+    """Add ``added`` (full cells, local cells with ghosts) to the cells, stress-free; return its mass on this rank.
+
+    The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s) is mixed into the
+    nodes by momentum, ``temperature`` (K) into the cells by mass. Mass and kinetic energy enter the ledger.
+    Collective; all ghosts are valid after.
+    """
     flat, part = state.flat, state.part
-    added = np.zeros(part.cell_shape)
-    paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), part.box.dx, added)
     state.boundary.fill(added.reshape(-1), _ALONE, ("mass",))
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
@@ -176,7 +188,7 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     ledger.add("brought_in", kinetic_quanta(state, model) - before)
     quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
     ledger.add("mass_painted", quanta)
-    report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * part.box.dx**3
+    return quanta
 
 
 def kinetic_quanta(state: State, model: Model) -> int:

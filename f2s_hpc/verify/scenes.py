@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from f2s_hpc import mpi
 from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
-from f2s_hpc.particles.batch import make_batches
-from f2s_hpc.solver.step import Clock
+from f2s_hpc.particles.batch import Batch, make_batches
 from f2s_hpc.verify.box import Setup
 
 _SCENE = """
@@ -48,11 +49,11 @@ def write_scene(cells: Sequence[int], dx: float, material: str, speed: float, du
     ``overrides``: "key.path=value", as ``f2s run --set`` takes them. Raises ``InputError`` like ``parse_scene``.
     """
     quoted = ("[" + ", ".join(f'"{float(a)!r} m"' for a in sphere) + "]" for sphere in spheres)
+    sides = "\n".join(f'{side} = "{kind}"' for side, kind in (faces or {}).items())
     text = _SCENE.format(
         size=", ".join(f'"{n * dx!r} m"' for n in cells), dx=float(dx), substrate=substrate * dx,
-        layer=(cells[2] - substrate) * dx, faces="\n".join(f'{side} = "{kind}"' for side, kind in (faces or {}).items()),
-        material=material, speed=float(speed), temperature=float(temperature), spheres=", ".join(quoted),
-        duration=float(duration))
+        layer=(cells[2] - substrate) * dx, faces=sides, material=material, speed=float(speed),
+        temperature=float(temperature), spheres=", ".join(quoted), duration=float(duration))
     return parse_scene(text, "verification case", overrides)
 
 
@@ -74,9 +75,34 @@ def scene_setup(scene: Scene) -> tuple[Setup, int]:
     batch = mpi.run_together(make_batches, scene).batches[0]
     setup.report = paint_batch(state, model, batch, scene.domain.layer_bottom, scene.particles.velocity,
                                scene.particles.temperature, setup.ledger, scene.batches.seed)
-    setup.clock = Clock()
     setup.clock.limits.heavy_speed = scene.particles.speed
     setup.activate()
+    return setup, substrate_quanta
+
+
+def run_cycles(scene: Scene) -> tuple[Setup, int]:
+    """Run all cycles of a scene, in memory only; collective. Returns what :func:`scene_setup` returns, at the end.
+
+    The same batches, order and seeds as ``f2s run``.
+    """
+    plan = mpi.run_together(make_batches, scene)
+    setup = empty_setup(scene)
+    state, model, clock = setup.state, setup.model, setup.clock
+    paint_substrate(state, scene.domain.substrate_height, scene.substrate.temperature)
+    substrate_quanta = measure.material_quanta(state, model)
+    waiting = None
+    for cycle, duration in enumerate(scene.cycles.durations):
+        batch = plan.batches[plan.order[cycle]]
+        if waiting is not None:
+            batch = Batch(*(np.concatenate(pair) for pair in zip(
+                (batch.x, batch.y, batch.z, batch.r), (waiting.x, waiting.y, waiting.z, waiting.r))))
+        setup.report = paint_batch(
+            state, model, batch, scene.domain.layer_bottom, scene.particles.velocity, scene.particles.temperature,
+            setup.ledger, scene.batches.seed * 1000003 + cycle)
+        waiting = setup.report.deferred
+        clock.limits.heavy_speed = max(clock.limits.heavy_speed, scene.particles.speed)
+        setup.advance_to(duration)
+        clock.cycle_start, clock.in_cycle = clock.cycle_start + duration, 0.0
     return setup, substrate_quanta
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from f2s_hpc.cycles.insert import kinetic_quanta, mass_quanta
-from f2s_hpc.fields import VELOCITY
+from f2s_hpc.cycles.insert import add_material
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.verify.box import Setup
+
+LEAST = 1e-9
+"""A share of a cell that is no more than this is round-off of the coordinates, not material."""
 
 
 def quarter_disc_area(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
@@ -34,26 +36,40 @@ def disc_fractions(x_edges: np.ndarray, y_edges: np.ndarray, radius: float) -> n
 
 def paint_cylinder(setup: Setup, radius: float, bottom: float, top: float, velocity: tuple[float, float, float],
                    temperature: float) -> None:
-    """Put a cylinder around the axis x = y = 0 into an empty box; collective.
+    """Add a cylinder around the axis x = y = 0; collective.
 
-    ``radius``, ``bottom``, ``top`` in cells; ``velocity`` (m/s) on every node that it touches; ``temperature`` in K.
-    Its mass and kinetic energy (after the walls hold their nodes) are entered into the ledger as brought in.
+    ``radius``, ``bottom``, ``top`` in cells, the latter two along z; ``velocity`` in m/s; ``temperature`` in K.
     """
-    state, part = setup.state, setup.state.part
-    x, y, z = (np.arange(n + 1) - GHOST + s for n, s in zip(part.cell_shape[::-1], part.start))
-    column = np.clip(np.minimum(z[1:], top) - np.maximum(z[:-1], bottom), 0.0, 1.0)
-    share = column[:, None, None] * disc_fractions(x.astype(float), y.astype(float), radius)
-    share[share < 1e-12] = 0.0
-    for name, value in (("mass", share), ("volume_fraction", share), ("temperature", temperature * (share > 0.0))):
-        state.views[name][...] = value
-    touched = np.zeros(part.node_shape, dtype=bool)
-    for corner in np.ndindex(2, 2, 2):
-        touched[tuple(slice(c, c + n) for c, n in zip(corner, part.cell_shape))] |= share > 0.0
-    for name, component in zip(VELOCITY, velocity):
-        state.views[name][touched] = component
-    state.boundary.hold([state.views[n] for n in VELOCITY])
-    state.exchange(state.ghosted)
+    x, y, z = _edges(setup)
+    share = _layers(z, bottom, top)[:, None, None] * disc_fractions(x, y, radius)
+    share[share < LEAST] = 0.0
+    _add(setup, share, velocity, temperature)
+
+
+def paint_slab(setup: Setup, bottom: float, top: float, velocity: tuple[float, float, float],
+               temperature: float) -> None:
+    """Add a slab that fills the box from ``bottom`` to ``top`` (cells along z); collective. Units as above."""
+    x, y, z = _edges(setup)
+    share = np.zeros((z.size - 1, y.size - 1, x.size - 1))
+    share[...] = _layers(z, bottom, top)[:, None, None]
+    _add(setup, share, velocity, temperature)
+
+
+def _edges(setup: Setup) -> list[np.ndarray]:
+    """Return the x, y, z edges (cells, global) of the local cells."""
+    part = setup.state.part
+    return [np.arange(n + 1.0) - GHOST + s for n, s in zip(part.cell_shape[::-1], part.start)]
+
+
+def _layers(z: np.ndarray, bottom: float, top: float) -> np.ndarray:
+    """Return the share of each layer of cells between ``bottom`` and ``top``."""
+    share = np.clip(np.minimum(z[1:], top) - np.maximum(z[:-1], bottom), 0.0, 1.0)
+    share[share < LEAST] = 0.0
+    share[share > 1.0 - LEAST] = 1.0
+    return share
+
+
+def _add(setup: Setup, share: np.ndarray, velocity: tuple[float, float, float], temperature: float) -> None:
+    add_material(setup.state, setup.model, share, velocity, temperature, setup.ledger)
+    setup.clock.limits.heavy_speed = max(setup.clock.limits.heavy_speed, float(np.linalg.norm(velocity)))
     setup.activate()
-    setup.ledger.add("brought_in", kinetic_quanta(state, setup.model))
-    setup.ledger.add("mass_painted", mass_quanta(state.owned("mass"), setup.model.mass_quantum))
-    setup.clock.limits.heavy_speed = float(np.linalg.norm(velocity))
