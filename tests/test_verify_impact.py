@@ -133,7 +133,7 @@ def test_cylinder_brings_its_mass_and_energy():
 def test_taylor_bar_length():
     """Length in the course of 80 us and at the end; the foot's radius misses its bar with the present scheme.
 
-    Fails if plastic flow does not harden (``H = 0``), or the wall lets the bar through: length off by more than 3 %.
+    Fails if plastic flow does not harden (``hardening_modulus = 0``): the length is then off by 4 %.
     """
     found = rows("taylor-bar", "resolutions=4")
     assert error(found, "final length", 4.0) < 0.02
@@ -160,7 +160,7 @@ def test_taylor_bar_shape_is_read_below_the_cell_size():
 def test_particle_of_the_published_series():
     """520 m/s: all three numbers come closer to Abaqus CEL from 8 to 12 cells per diameter.
 
-    Fails if the flow stress loses its rate term (Johnson-Cook C = 0): the crater is 9 % deeper.
+    Fails if the flow stress loses its rate term (Johnson-Cook C = 0): the crater is 23 % deeper.
     """
     found = rows("impact-jc")
     assert error(found, "flattening, 520 m/s", 12.0) < 0.03
@@ -179,12 +179,13 @@ def test_speeds_are_those_of_the_series():
 def test_ge_particle_converges():
     """Width, height and PEEQ p95 approach those of the finest run at order 0.5 or better.
 
-    Fails if the remap is of first order in mass (PLIC normals set to the flux direction): the order falls below 0.5.
+    Fails if the remap is of first order (``numerics.remap_order = 1``): the height is off by 5 % instead of 2 %.
     """
     found = rows("impact-ge")
     for name in ("width / D", "height / D", "PEEQ p95"):
         assert found[name, 8.0].passed
         assert error(found, name, 8.0) < 0.8 * error(found, name, 6.0)
+    assert error(found, "height / D", 8.0) < 0.03
 
 
 def test_extrapolation_finds_limit_and_order():
@@ -222,16 +223,20 @@ def test_energy_of_a_particle(name):
 
 @pytest.mark.slow
 def test_deposit_temperature_hardly_hangs_on_the_mesh():
-    """Fails if the lost impact energy is doubled: hourglass 1.0 alone spreads the temperatures by more than 4 %."""
+    """The mean is below what the impact energy allows, 819 degC, and depends little on the mesh.
+
+    Fails if the remap is of first order (``numerics.remap_order = 1``): 571 degC at 4 um, for it loses more energy.
+    """
     found = rows("deposit-temperature")
     assert error(found, "spread of the mean temperature", 7.5) < 0.035
-    for level in (5.0, 7.5):
-        assert 500.0 < found["mean deposit temperature, degC", level].measured.value < 819.0
+    coarse, fine = (found["mean deposit temperature, degC", level].measured.value for level in (5.0, 7.5))
+    assert 560.0 < coarse < 819.0
+    assert 580.0 < fine < 819.0
 
 
 @pytest.mark.slow
 def test_section4_loss():
-    """Fails if the light-node exchange takes ten times as much: ``exchange_strength`` 0.3."""
+    """Fails if the light-node exchange is ten times as strong (``numerics.exchange_strength = 0.3``): 0.33."""
     found = rows("section4", "resolutions=5")
     assert found["numerical loss", 5.0].passed
     assert found["mass drift", 5.0].passed
