@@ -61,6 +61,8 @@ FIELDS: tuple[Field, ...] = (
           advected=True, ghosted=True, saved=True, shown=True),
     Field("internal_energy", CELL, "J/kg", "specific internal energy (Mie-Grueneisen pressure only)",
           advected=True, ghosted=True, saved=True),
+    Field("particle_fraction", CELL, "1", "share of the cell's mass that came with the particles (output.origin only)",
+          advected=True, ghosted=True, saved=True, shown=True),
     _velocity("x", (-1, 1, 1)),
     _velocity("y", (1, -1, 1)),
     _velocity("z", (1, 1, -1)),
@@ -84,15 +86,20 @@ STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stre
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
+ORIGIN = "particle_fraction"
 
 
-def needed(mie_grueneisen: bool, loss_heating: bool = True) -> tuple[Field, ...]:
-    """Return the fields that a scene needs; the rest are neither allocated nor exchanged."""
-    left_out = {name for name, wanted in (("internal_energy", mie_grueneisen), ("lost_energy", loss_heating))
-                if not wanted}
+def needed(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False) -> tuple[Field, ...]:
+    """Return the fields that a scene needs; the rest are neither allocated nor exchanged.
+
+    ``loss_heating``: do numerical losses become heat? ``origin``: does the scene ask where each cell's material came
+    from?
+    """
+    left_out = {name for name, asked in (("internal_energy", mie_grueneisen), ("lost_energy", loss_heating),
+                                         (ORIGIN, origin)) if not asked}
     return tuple(f for f in FIELDS if f.name not in left_out)
 
 
-def bytes_per_cell(mie_grueneisen: bool, loss_heating: bool = True) -> float:
+def bytes_per_cell(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False) -> float:
     """Return the memory of all fields per cell that is touched (bytes)."""
-    return 8.0 * len(needed(mie_grueneisen, loss_heating))
+    return 8.0 * len(needed(mie_grueneisen, loss_heating, origin))

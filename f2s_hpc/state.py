@@ -20,10 +20,10 @@ class State:
     """
 
     def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
-                 loss_heating: bool = True) -> None:
+                 loss_heating: bool = True, origin: bool = False) -> None:
         self.decomposition = decomposition
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen, loss_heating)
+        self.fields = fields.needed(mie_grueneisen, loss_heating, origin)
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}

@@ -258,6 +258,7 @@ def test_wrong_file_names_key_and_remedy(scene_file, old, new, words):
     ("[output]\nfields = ['peeq', 'peeq']", ["output.fields", "named twice"]),
     ("[output]\nfields = []", ["output.fields", "at least one value"]),
     ("[output]\nfields = ['internal_energy']", ["output.fields internal_energy", "mie_grueneisen"]),
+    ("[output]\nfields = ['particle_fraction']", ["output.fields particle_fraction", "output.origin"]),
     ("[output]\nprogress_seconds = 5", ["output.progress_seconds = 5", "a time needs a unit"]),
     ("[output]\nkeep_checkpoints = 0", ["output.keep_checkpoints = 0", "at least 1"]),
     ("[run]\nwall_time = '2 hours'", ["run.wall_time", 'unknown unit "hours"']),

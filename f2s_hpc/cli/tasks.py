@@ -40,7 +40,7 @@ def check(scene: Scene) -> str:
     decomposition = Decomposition(Box(scene.domain.cells, scene.domain.cell_size))
     parts = mpi.all_gather(decomposition.part.count)
     particles, volume = _painted(scene, plan)
-    memory = fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating)
+    memory = fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
     text = describe(scene, mpi.size(), parts, memory, painted_volume=volume, particles=particles)
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
 

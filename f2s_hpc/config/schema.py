@@ -219,6 +219,7 @@ class Output(Section):
     keep_checkpoints: Whole = Field(default=2, ge=1, description="number of checkpoints kept")
     progress_seconds: Time = Field(default=5.0, description="wall time between progress lines, s")
     picture: Switch = Field(default=True, description="a picture at the end")
+    origin: Switch = Field(default=False, description="follow which share of each cell came with the particles")
 
     @field_validator("fields")
     @classmethod
@@ -292,6 +293,8 @@ class Scene(Section):
         _check_temperatures(self)
         if "internal_energy" in self.output.fields and not self.mie_grueneisen:
             raise wrong("output.fields", 'internal_energy exists only with material.pressure.model = "mie_grueneisen"')
+        if fields.ORIGIN in self.output.fields and not self.output.origin:
+            raise wrong("output.fields", f"{fields.ORIGIN} exists only with output.origin = true")
         return self
 
     @property

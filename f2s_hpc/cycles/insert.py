@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.fields import VELOCITY
+from f2s_hpc.fields import ORIGIN, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import momentum, paint, remap
 from f2s_hpc.particles.batch import Batch
@@ -158,15 +158,30 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
 
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
          ledger: Ledger, report: InsertReport) -> None:
+    added = np.zeros(state.part.cell_shape)
+    paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), state.part.box.dx, added)
+    quanta = add_material(state, model, added, velocity, temperature, ledger)
+    report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3
+
+
+def add_material(state: State, model: Model, added: np.ndarray, velocity: tuple[float, float, float],
+                 temperature: float, ledger: Ledger) -> int:
+    """Add ``added`` (full cells, local cells with ghosts) to the cells, stress-free; return its mass on this rank.
+
+    The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s) is mixed into the
+    nodes by momentum, ``temperature`` (K) into the cells by mass. Mass and kinetic energy enter the ledger.
+    Collective; all ghosts are valid after.
+    """
     flat, part = state.flat, state.part
-    added = np.zeros(part.cell_shape)
-    paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), part.box.dx, added)
     state.everything_active()
     state.boundary.fill(added.reshape(-1), _ALONE, ("mass",), state.active)
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
                       state.pool.memory, diluted)
+    if ORIGIN in state.views:
+        new = added > 0.0
+        state.views[ORIGIN][new] += added[new] / state.views["mass"][new]  # the old share was diluted just now
     paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
     state.boundary.hold([state.views[n] for n in VELOCITY])
     state.everything_active()
@@ -174,7 +189,7 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     ledger.add("brought_in", kinetic_quanta(state, model) - before)
     quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
     ledger.add("mass_painted", quanta)
-    report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * part.box.dx**3
+    return quanta
 
 
 def kinetic_quanta(state: State, model: Model) -> int:

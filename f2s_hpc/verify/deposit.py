@@ -1,0 +1,114 @@
+"""Deposits of many particles: the impact energy that no physical term received; heat that must not hang on the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.config.load import load_scene
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles import measure
+from f2s_hpc.verify.box import Setup
+from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
+from f2s_hpc.verify.scenes import cell_steps, run_cycles
+
+LENGTH = 30e-6
+"""Characteristic length (m), the paper's D50: resolutions 5, 7.5 and 10 are cells of 6, 4 and 3 um."""
+
+_ZERO_CELSIUS = 273.15
+_SECTION4_FOOTPRINT = 0.35e-3
+_SECTION4_PARTICLES = 500
+_QUICKSTART_FOOTPRINT = 0.12e-3
+_QUICKSTART_PARTICLES = 36
+_LOSS_BARS = ((3e-6, 0.12), (4e-6, 0.20), (6e-6, 0.30))
+
+
+def deposit_temperature(setup: Setup, scene: Scene) -> float:
+    """Return the mean temperature (degC), weighted by mass, of what has landed above the substrate's top.
+
+    Landed: slower than a tenth of the particles' speed, in cells at least half full, as in the cycle table.
+    """
+    state, part = setup.state, setup.state.part
+    speed = measure.derived_field(state, setup.model, "speed")
+    centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
+    landed = ((speed < measure.SLOW * scene.particles.speed) & (state.owned("volume_fraction") >= 0.5)
+              & (centre[:, None, None] > scene.domain.substrate_height))
+    mass = state.owned("mass")[landed]
+    local = np.array([mass.sum(), mass @ state.owned("temperature")[landed]])
+    whole, heat = sum(mpi.all_gather(local))
+    return float(heat / whole) - _ZERO_CELSIUS
+
+
+def patch_scene(options: Options, dx: float, footprint: float) -> Scene:
+    """Return the scene "quickstart" on a square of ``footprint`` (m), as many particles per area, without its files."""
+    particles = round(_QUICKSTART_PARTICLES * (footprint / _QUICKSTART_FOOTPRINT) ** 2)
+    return load_scene("quickstart", [
+        f"domain.cell_size={dx!r} m", f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.3 mm"]',
+        f"batches.particles={particles}", f"cycles.count={int(options['cycles'])}",
+        f"particles.speed={options['speed']!r} m/s", f"particles.temperature={options['temperature']!r} K",
+        f"batches.seed={int(options['seed'])}", *options.numerics])
+
+
+def section4_scene(options: Options, dx: float) -> Scene:
+    """Return the scene "section4", or for quick sizes a corner: two cycles, a lower box, no particle above 60 um."""
+    cycles = (10 if options.full else 2) if options["cycles"] == "default" else int(options["cycles"])
+    overrides = [f"domain.cell_size={dx!r} m", f"cycles.count={cycles}"]
+    if not options.full:
+        footprint = 72e-6  # whole cells of 6, 4 and 3 um
+        particles = round(_SECTION4_PARTICLES * (footprint / _SECTION4_FOOTPRINT) ** 2)
+        overrides += [f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.4 mm"]', f"batches.particles={particles}",
+                      "batches.diameter_max=60 um"]
+    return load_scene("section4", [*overrides, *options.numerics])
+
+
+def run_patch(options: Options) -> Iterator[Measured]:
+    """Yield the mean temperature of the deposit on each mesh, and its spread over them."""
+    footprint = options["footprint"] if options.full else min(options["footprint"], 60e-6)
+    found: list[float] = []
+    for level in options.levels:
+        watch, dx = Stopwatch(), LENGTH / level
+        scene = mpi.run_together(patch_scene, options, dx, footprint)
+        setup, substrate_quanta = run_cycles(scene)
+        found.append(deposit_temperature(setup, scene))
+        balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
+        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        yield Measured("mean deposit temperature, degC", level, dx, found[-1], None, 0.0, compares=False, **cost)
+        energy = balance["energy"]
+        for quantity, value in (("numerical loss", balance["numerical_loss_fraction"]),
+                                ("heat / impact energy", energy["heat"] / energy["brought_in"])):
+            yield Measured(quantity, level, dx, value, None, 0.0, compares=False, **cost)
+    spread = (max(found) - min(found)) / (sum(found) / len(found))
+    yield Measured("spread of the mean temperature", level, dx, spread, 0.0, spread, 0.03, compares=False, **cost)
+
+
+def run_section4(options: Options) -> Iterator[Measured]:
+    """Yield the numerical loss, the remainder and the mass drift of section 4, per mesh."""
+    for level in options.levels:
+        watch, dx = Stopwatch(), LENGTH / level
+        scene = mpi.run_together(section4_scene, options, dx)
+        setup, substrate_quanta = run_cycles(scene)
+        balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
+        energy, loss = balance["energy"], balance["numerical_loss_fraction"]
+        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        bar = next((bar for largest, bar in _LOSS_BARS if dx <= largest * (1.0 + 1e-9)), None)
+        yield Measured("numerical loss", level, dx, loss, 0.0, loss, bar, **cost)
+        remainder = abs(energy["remainder"] / energy["brought_in"])
+        yield Measured("remainder", level, dx, remainder, 0.0, remainder, 0.005, **cost)
+        drift = abs(balance["mass_drift_relative"])
+        yield Measured("mass drift", level, dx, drift, 0.0, drift, 1e-10, compares=False, **cost)
+
+
+CASES = (
+    Case("section4",
+         "Section 4 of Free2Spray (quick: two cycles on 72 x 72 um): share of the impact energy that no physical term "
+         "received, unexplained remainder, mass drift; resolutions are cells per 30 um (5: 6 um, 7.5: 4 um, 10: 3 um).",
+         run_section4, (5.0, 7.5), (5.0, 7.5, 10.0), {"cycles": "default"}),
+    Case("deposit-temperature",
+         "Patch of the scene quickstart, three batches (quick: 60 x 60 um): mean deposit temperature in degC must not "
+         "hang on the mesh; (largest - smallest) / mean over the meshes; resolutions are cells per 30 um.",
+         run_patch, (5.0, 7.5), (5.0, 7.5, 10.0),
+         {"cycles": "3", "footprint": "0.12 mm", "speed": "615 m/s", "temperature": "450 degC", "seed": "1"},
+         {"footprint": "length", "speed": "speed", "temperature": "temperature"}),
+)

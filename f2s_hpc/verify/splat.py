@@ -1,0 +1,134 @@
+"""One sphere on a substrate of the same material, a symmetric quarter: the run, and what is measured on it.
+
+What is particle is known from the carried field ``particle_fraction``; all lengths are moments or column sums of it,
+so they are finer than a cell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.cycles import measure
+from f2s_hpc.fields import ORIGIN
+from f2s_hpc.solver.model import Settings
+from f2s_hpc.verify.box import Setup
+from f2s_hpc.verify.case import Stopwatch
+from f2s_hpc.verify.scenes import cell_steps, scene_setup, write_scene
+
+_FACES = {"x_low": "symmetry", "y_low": "symmetry"}
+
+
+@dataclass(frozen=True)
+class Impact:
+    """What is shot at what: material name, diameter (m), speed (m/s), temperatures (K), simulated time (s).
+
+    ``half_width``, ``depth``: quarter's width and substrate's depth in diameters. The sphere touches the surface.
+    """
+
+    material: str
+    diameter: float
+    speed: float
+    temperature: float
+    duration: float
+    half_width: float = 2.0
+    depth: float = 3.0
+
+
+@dataclass(frozen=True)
+class Splat:
+    """What a particle became: lengths in m, PEEQ percentile, energy balance, settings of the scheme, cost.
+
+    ``height``, ``width``: axes 2 sqrt(5) sigma of the ellipsoid with the particle's second moments; ``height_start``:
+    the same before impact; ``crater``: depth of the interface between particle and substrate below the surface, on
+    the axis.
+    """
+
+    dx: float
+    height_start: float
+    height: float
+    width: float
+    crater: float
+    peeq_p95: float
+    balance: dict
+    settings: Settings
+    steps: int
+    cell_steps: int
+    wall_s: float
+
+    @property
+    def cost(self) -> dict:
+        """Steps, cell-steps and wall time, as rows take them."""
+        return {"steps": self.steps, "cell_steps": self.cell_steps, "wall_s": self.wall_s}
+
+    def flattening(self, cells_per_diameter: float) -> float:
+        """Return 1 - height / height_start as a code with ``cells_per_diameter`` cells would tell it from cell centres.
+
+        Moments of cell centres exceed the true ones by dx^2 / 12 (Sheppard); ours are corrected for that.
+        """
+        rough = 20.0 / 12.0 * (self.height_start / cells_per_diameter) ** 2
+        return 1.0 - math.sqrt((self.height**2 + rough) / (self.height_start**2 + rough))
+
+
+def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = ()) -> Splat:
+    """Run an impact and return what it left; collective, the same on every rank.
+
+    ``overrides``: "key.path=value" for the scene. Raises ``InputError`` and ``UnstableStep``.
+    """
+    watch = Stopwatch()
+    dx, radius = impact.diameter / cells_per_diameter, 0.5 * impact.diameter
+    wide, deep = math.ceil(impact.half_width * cells_per_diameter), math.ceil(impact.depth * cells_per_diameter)
+    above = math.ceil(1.5 * cells_per_diameter)  # room for the rim, which rises beside the sphere
+    scene = write_scene((wide, wide, deep + above), dx, impact.material, impact.speed, impact.duration,
+                        spheres=[(0.0, 0.0, radius, radius)], substrate=deep, temperature=impact.temperature,
+                        faces=_FACES, overrides=("output.origin=true", *overrides))
+    setup, substrate_quanta = scene_setup(scene)
+    height_start, _ = _axes(setup)
+    setup.advance_to(impact.duration)
+    height, width = _axes(setup)
+    balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
+    return Splat(dx, height_start, height, width, deep * dx - _interface(setup), _peeq_p95(setup), balance,
+                 setup.model.settings, setup.clock.steps, cell_steps(setup), watch.read())
+
+
+def _particle_mass(setup: Setup) -> np.ndarray:
+    """Return the particle's mass in the owned cells (full cells)."""
+    return setup.state.owned("mass") * setup.state.owned(ORIGIN)
+
+
+def _axes(setup: Setup) -> tuple[float, float]:
+    """Return height and width (m) of the ellipsoid with the particle's second moments, 2 sqrt(5) sigma each.
+
+    A quarter lies around the axis x = y = 0, so the horizontal moments are about that axis, halved over x and y.
+    """
+    mass, part = _particle_mass(setup), setup.state.part
+    x, y, z = (np.arange(n) + s + 0.5 for n, s in zip(part.count, part.start))
+    across = y[:, None] ** 2 + x[None, :] ** 2
+    layers = mass.sum(axis=(1, 2))
+    local = np.array([layers.sum(), layers @ z, layers @ z**2, (mass.sum(axis=0) * across).sum()])
+    whole, first, second, spread = sum(mpi.all_gather(local))
+    grain = 1.0 / 12.0  # cell centres exaggerate each moment by this (Sheppard)
+    along = second / whole - (first / whole) ** 2 - grain
+    sideways = 0.5 * spread / whole - grain
+    return float(math.sqrt(20.0 * along)) * setup.model.dx, float(math.sqrt(20.0 * sideways)) * setup.model.dx
+
+
+def _interface(setup: Setup) -> float:
+    """Return the height (m) of the substrate's surface on the axis: its volume in the column there."""
+    part = setup.state.part
+    height = 0.0
+    if part.start[0] == 0 and part.start[1] == 0:
+        fraction, share = setup.state.owned("volume_fraction"), setup.state.owned(ORIGIN)
+        height = float((fraction[:, 0, 0] * (1.0 - share[:, 0, 0])).sum())
+    return sum(mpi.all_gather(height)) * setup.model.dx
+
+
+def _peeq_p95(setup: Setup) -> float:
+    """Return the PEEQ below which 95 % of the particle's mass lies, over the cells that are mostly particle."""
+    mass = _particle_mass(setup)
+    mostly = setup.state.owned(ORIGIN) > 0.5
+    return measure.percentiles(setup.state.owned("peeq")[mostly], mass[mostly], (0.95,))[0]

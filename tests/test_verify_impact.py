@@ -1,0 +1,288 @@
+"""Verification cases of impacts, deposits and contact, at quick sizes; bars of the issue where quick sizes have them.
+
+Errors that only fall with resolution are asserted at the size run here, a little above what is measured.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from f2s_hpc import mpi
+from f2s_hpc.cycles import measure
+from f2s_hpc.errors import InputError
+from f2s_hpc.fields import ORIGIN
+from f2s_hpc.verify import contact, deposit, impact, shapes, taylor
+from f2s_hpc.verify.box import ALL_SYMMETRY
+from f2s_hpc.verify.case import Case, Row, judged
+from f2s_hpc.verify.scenes import empty_setup, scene_setup, write_scene
+
+CASES = {case.name: case for module in (taylor, impact, deposit, contact) for case in module.CASES}
+
+
+def rows(name: str, *overrides: str) -> dict[tuple[str, float], Row]:
+    """Return the judged rows of a case at quick size, by quantity and resolution; each is finite and has a cost."""
+    case: Case = CASES[name]
+    found = judged(case.name, list(case.run(case.options(False, list(overrides)))))
+    for row in found:
+        assert math.isfinite(row.measured.value)
+        assert math.isfinite(row.measured.error)
+        assert row.measured.steps > 0
+        assert row.measured.cell_steps > 0
+        assert row.measured.wall_s > 0.0
+    return {(row.measured.quantity, row.measured.resolution): row for row in found}
+
+
+def error(found: dict[tuple[str, float], Row], quantity: str, resolution: float) -> float:
+    return found[quantity, resolution].measured.error
+
+
+# --- where material came from -----------------------------------------------------------------------------------
+
+
+def splat_scene(*overrides: str):
+    """Return a sphere of 6 cells, 2 cells inside mirrors, that flies at its substrate."""
+    return write_scene((8, 8, 20), 5e-6, "copper-ge", 600.0, 40e-9, spheres=[(10e-6, 15e-6, 16e-6, 15e-6)], substrate=8,
+                       temperature=700.0, overrides=overrides)
+
+
+def test_origin_costs_nothing_unless_asked_for():
+    """Fails if ``fields.needed`` always returns the field."""
+    setup, _ = scene_setup(splat_scene())
+    assert ORIGIN not in setup.state.views
+    setup, _ = scene_setup(splat_scene("output.origin=true"))
+    assert ORIGIN in setup.state.saved
+
+
+@pytest.mark.mpi
+def test_particle_mass_is_carried_exactly():
+    """The particles' mass through an impact, sum of mass times share, is what was painted; the share stays in 0..1.
+
+    Fails if ``insert.add_material`` does not set the share, or ``State.carried_cells`` leaves it out of the remap.
+    """
+    setup, _ = scene_setup(splat_scene("output.origin=true"))
+    state = setup.state
+
+    def particle_mass() -> float:
+        return sum(mpi.all_gather(float((state.owned("mass") * state.owned(ORIGIN)).sum())))
+
+    painted = setup.report.volume / setup.model.dx**3
+    assert particle_mass() == pytest.approx(painted, rel=1e-9)
+    setup.advance_to(40e-9)
+    assert particle_mass() == pytest.approx(painted, rel=1e-9)
+    share = state.owned(ORIGIN)
+    assert share.min() >= 0.0
+    assert share.max() <= 1.0 + 1e-12
+    # the splat has mixed with nothing but what it touches: cells deep in the substrate hold none of it
+    if state.part.start[2] == 0:
+        assert share[:2].max() < 1e-12
+
+
+def test_origin_changes_nothing_else():
+    """Fails if the kernels' answer depends on how many fields ride along."""
+    runs = []
+    for overrides in ((), ("output.origin=true",)):
+        setup, _ = scene_setup(splat_scene(*overrides))
+        setup.advance_to(10e-9)
+        runs.append(setup.state)
+    for name in runs[0].saved:
+        np.testing.assert_array_equal(runs[0].owned(name), runs[1].owned(name))
+
+
+# --- painted bodies ---------------------------------------------------------------------------------------------
+
+
+def test_disc_area_is_exact():
+    """Fails if a corner of ``quarter_disc_area`` misses the part beyond the arc: without ``under_arc``."""
+    edges = np.arange(-4.0, 12.0)
+    for radius in (0.4, 3.3, 8.0):
+        share = shapes.disc_fractions(edges, edges, radius)
+        inside = edges[:-1] >= 0.0
+        assert share[np.ix_(inside, inside)].sum() == pytest.approx(0.25 * math.pi * radius**2, rel=1e-13)
+        assert share.min() >= -1e-13
+        assert share.max() <= 1.0 + 1e-13
+        np.testing.assert_allclose(share, share.T, atol=1e-13)
+    # by counting points: cells that the arc cuts
+    fine = (np.arange(400) + 0.5) / 400.0
+    share = shapes.disc_fractions(np.arange(5.0), np.arange(5.0), 3.3)
+    for j, i in ((0, 3), (1, 3), (2, 2), (3, 0), (3, 3)):
+        counted = ((i + fine[None, :]) ** 2 + (j + fine[:, None]) ** 2 <= 3.3**2).mean()
+        assert share[j, i] == pytest.approx(counted, abs=3e-4)
+
+
+@pytest.mark.mpi
+def test_cylinder_brings_its_mass_and_energy():
+    """Fails if ``_layers`` fills the cut cells of the ends, or nodes get the velocity of half their mass."""
+    scene = write_scene((10, 9, 12), 1e-3, "copper-taylor", 100.0, 1e-6, spheres=[(0.0, 0.0, 1e-3, 1e-3)],
+                        faces=ALL_SYMMETRY)
+    setup = empty_setup(scene)
+    shapes.paint_cylinder(setup, 6.3, 2.25, 8.5, (0.0, 0.0, -100.0), 300.0)
+    volume = 0.25 * math.pi * 6.3**2 * 6.25
+    balance = measure.measure_balance(setup.state, setup.model, setup.ledger, 0)
+    assert balance["painted_volume_m3"] == pytest.approx(volume * 1e-9, rel=1e-9)
+    kinetic = 0.5 * 8930.0 * volume * 1e-9 * 100.0**2
+    assert balance["energy"]["brought_in"] == pytest.approx(kinetic, rel=1e-9)
+    assert balance["energy"]["kinetic"] == pytest.approx(kinetic, rel=1e-9)
+
+
+# --- Taylor bar -------------------------------------------------------------------------------------------------
+
+
+def test_taylor_bar_length():
+    """Length in the course of 80 us and at the end; the foot's radius misses its bar with the present scheme.
+
+    Fails if plastic flow does not harden (``hardening_modulus = 0``): the length is then off by 4 %.
+    """
+    found = rows("taylor-bar", "resolutions=4")
+    assert error(found, "final length", 4.0) < 0.02
+    assert error(found, "history of the length", 4.0) < 0.03
+    assert found["final length", 4.0].measured.bar == 0.005
+    assert found["foot radius", 4.0].measured.bar == 0.015
+    # it spreads: more than twice the bar's area
+    assert found["foot radius", 4.0].measured.value > 1.5 * 3.2e-3
+
+
+def test_taylor_bar_shape_is_read_below_the_cell_size():
+    """Fails if the length counts cells instead of volume fractions, or the radius is the number of cells in a row."""
+    options = CASES["taylor-bar"].options(False, [])
+    setup = taylor.make_bar(options, 6.3)
+    radius, on_axis, length = taylor.shape(setup)
+    assert radius == pytest.approx(3.2e-3, rel=1e-9)
+    assert on_axis == pytest.approx(3.2e-3, rel=5e-3)  # the row next to the axis, not the axis
+    assert length == pytest.approx(32.4e-3, rel=1e-9)
+
+
+# --- single particles -------------------------------------------------------------------------------------------
+
+
+def test_particle_of_the_published_series():
+    """520 m/s: all three numbers come closer to Abaqus CEL from 8 to 12 cells per diameter.
+
+    Fails if the flow stress loses its rate term (Johnson-Cook C = 0): the crater is 23 % deeper.
+    """
+    found = rows("impact-jc")
+    assert error(found, "flattening, 520 m/s", 12.0) < 0.03
+    assert error(found, "crater depth / D, 520 m/s", 12.0) < 0.08
+    assert error(found, "PEEQ p95, 520 m/s", 12.0) < 0.17
+    assert error(found, "PEEQ p95, 520 m/s", 12.0) < 0.7 * error(found, "PEEQ p95, 520 m/s", 8.0)
+    assert error(found, "crater depth / D, 520 m/s", 12.0) < 0.7 * error(found, "crater depth / D, 520 m/s", 8.0)
+
+
+def test_speeds_are_those_of_the_series():
+    with pytest.raises(InputError, match=r"500.*300, 410"):
+        rows("impact-jc", "speeds=500")
+
+
+@pytest.mark.slow
+def test_ge_particle_converges():
+    """Width, height and PEEQ p95 approach those of the finest run at order 0.5 or better.
+
+    Fails if the remap is of first order (``numerics.remap_order = 1``): the height is off by 5 % instead of 2 %.
+    """
+    found = rows("impact-ge")
+    for name in ("width / D", "height / D", "PEEQ p95"):
+        assert found[name, 8.0].passed
+        assert error(found, name, 8.0) < 0.8 * error(found, name, 6.0)
+    assert error(found, "height / D", 8.0) < 0.03
+
+
+def test_extrapolation_finds_limit_and_order():
+    """Fails if the spacings are not raised to the order: ``h**order``."""
+    spacings = [4.0, 3.0, 2.0, 1.0]
+    limit, order = impact.extrapolated(spacings, [1.7 - 0.3 * h**1.43 for h in spacings])
+    assert limit == pytest.approx(1.7, rel=1e-9)
+    assert order == pytest.approx(1.43, rel=1e-9)
+
+
+# --- energy -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["energy-jc", "energy-ge"])
+def test_energy_of_a_particle(name):
+    """The remainder falls with dx and with the step; every numerical part but the light nodes falls with dx.
+
+    Fails if the ledger forgets the work withheld from light nodes (``withheld``), or the hourglass power of a step.
+    """
+    found = rows(name)
+    assert found["remainder", 12.0].passed
+    assert error(found, "remainder", 12.0) < error(found, "remainder", 8.0) < 0.01
+    assert found["remainder, half the step over whole", 8.0].passed
+    for part in ("hourglass", "remap_kinetic", "remap_elastic", "numerical loss"):
+        assert error(found, part, 12.0) < error(found, part, 8.0)
+    assert error(found, "numerical loss", 12.0) < 0.13
+    # all shares together are the whole
+    parts = [found[part, 12.0].measured.value for part in (*impact.NUMERICAL_TERMS, "remainder")]
+    assert sum(parts) == pytest.approx(found["numerical loss", 12.0].measured.value, rel=1e-9)
+
+
+# --- deposits ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_deposit_temperature_hardly_hangs_on_the_mesh():
+    """The mean is below what the impact energy allows, 819 degC, and depends little on the mesh.
+
+    Fails if the remap is of first order (``numerics.remap_order = 1``): 571 degC at 4 um, for it loses more energy.
+    """
+    found = rows("deposit-temperature")
+    assert error(found, "spread of the mean temperature", 7.5) < 0.035
+    coarse, fine = (found["mean deposit temperature, degC", level].measured.value for level in (5.0, 7.5))
+    assert 560.0 < coarse < 819.0
+    assert 580.0 < fine < 819.0
+
+
+@pytest.mark.slow
+def test_section4_loss():
+    """Fails if the light-node exchange is ten times as strong (``numerics.exchange_strength = 0.3``): 0.33."""
+    found = rows("section4", "resolutions=5")
+    assert found["numerical loss", 5.0].passed
+    assert found["mass drift", 5.0].passed
+
+
+def test_a_deposit_of_nothing_but_its_scene():
+    """The patch has the quickstart's particles per area, and ``--set`` reaches it. Fails if overrides are dropped."""
+    options = CASES["deposit-temperature"].options(False, ["numerics.hourglass=0.07", "speed=500 m/s"])
+    scene = deposit.patch_scene(options, 6e-6, 60e-6)
+    assert scene.batches.particles == 9
+    assert scene.domain.cells == (10, 10, 50)
+    assert scene.numerics.hourglass == 0.07
+    assert scene.particles.speed == 500.0
+    small = deposit.section4_scene(CASES["section4"].options(False, []), 4e-6)
+    assert (small.cycles.count, small.domain.cells[:2], small.batches.particles) == (2, (18, 18), 21)
+    whole = deposit.section4_scene(CASES["section4"].options(True, []), 3e-6)
+    assert (whole.cycles.count, whole.domain.cells, whole.batches.particles) == (10, (117, 117, 200), 500)
+
+
+# --- contact ----------------------------------------------------------------------------------------------------
+
+
+def test_blocks_close_without_a_void():
+    """Fails if a cell that holds its full mass keeps a volume fraction below one (``remap.close_cells``)."""
+    found = rows("contact-blocks")
+    for level in (16.0, 32.0):
+        assert found["void left / height", level].passed
+        assert found["height of the top", level].passed
+    assert all(row.passed for (quantity, _), row in found.items() if quantity == "mass height")
+
+
+def test_bodies_feel_each_other_only_when_close():
+    """Fails if nodes without mass carry stress between bodies, or bodies pass through each other.
+
+    They share a node once their cells touch, so less than two cells in the mean, never more than three.
+    """
+    found = rows("contact-gap", "resolutions=8")
+    assert 0.0 < error(found, "mean gap felt, cells", 8.0) < 2.0
+    assert error(found, "largest gap felt, cells", 8.0) < 3.0
+
+
+def test_spheres_are_compacted_to_their_mass():
+    """Fails if voids at zero pressure resist being closed, or full cells are squeezed before voids close."""
+    found = rows("contact-spheres", "resolutions=6,8")
+    for level in (6.0, 8.0):
+        before = found["void fraction before", level].measured.value
+        assert before == pytest.approx((1.0 - math.pi / 6.0) / 5.0, rel=1e-3)
+        for quantity in ("void left / void before", "surface height over mass height", "VF over mass"):
+            assert found[quantity, level].passed
