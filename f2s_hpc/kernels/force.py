@@ -11,11 +11,9 @@ import math
 import numpy as np
 
 from f2s_hpc._jit import kernel
+from f2s_hpc.kernels.scratch import W
+from f2s_hpc.kernels.skin import surface_pressure
 from f2s_hpc.materials.pressure import pressure, stiffness
-
-W = 64
-"""Cells of a row are worked on in chunks of this many; all scratch rows of a chunk lie in one array at fixed
-distances, so the compiler sees that they do not overlap and vectorises, and they stay in the first cache."""
 
 RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, LEFT, RIGHT, ROWS = 0, 1, 2, 3, 4, 5, 6, 12, 16, 20
 """Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous pressure,
@@ -166,6 +164,7 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
             f = fraction[cell:cell + n]
             e = energy[cell:cell + n] if energy.size > 1 else nothing[:n]
             _pressure(mass[cell:cell + n], f, e, dx, bulk, eos, viscosity, hourglass, s)
+            surface_pressure(mass, f, stress, cell, shape, TOTAL, s)
             _weigh(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
                    stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
             for axis in range(3):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from f2s_hpc._jit import kernel
-from f2s_hpc.kernels.force import W
+from f2s_hpc.kernels.scratch import W
 from f2s_hpc.materials.flow_stress import MAX_ITERATIONS, return_step, softening, static_flow_stress
 
 GRADIENT, TRIAL, MISES, STRAIN, STATIC, RATIO, PLASTIC, FLOW, AFTER, VOLUME, SHAPE_BEFORE, SHAPE_AFTER = (

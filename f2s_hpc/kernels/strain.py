@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from f2s_hpc._jit import inlined, kernel
-from f2s_hpc.kernels.force import W
 from f2s_hpc.kernels.plasticity import (
     AFTER,
     ELASTIC_AFTER,
@@ -27,6 +26,8 @@ from f2s_hpc.kernels.plasticity import (
     heat_chunk,
     return_chunk,
 )
+from f2s_hpc.kernels.scratch import W
+from f2s_hpc.kernels.skin import surface_strain
 from f2s_hpc.materials.pressure import pressure, stored_energy
 
 
@@ -264,11 +265,12 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
             _gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, GRADIENT, s)
             _gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, GRADIENT + 3, s)
             _gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, GRADIENT + 6, s)
-            _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
-                          stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
             x, f, t = mass[cell:end], fraction[cell:end], temperature[cell:end]
             e = energy[cell:end] if carried else nothing[:n]
             _close_chunk(x, f, e, shock[a:a + n], closing[a:a + n], dt, bulk, eos, s)
+            surface_strain(mass, f, cell, shape, s)
+            _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
+                          stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
             return_chunk(flow, x, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
             heat_chunk(x, t, bulk, heating, dt / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
                        node_heat[b:b + m], node_heat[c:c + m], node_heat[d:d + m], s)
