@@ -40,6 +40,8 @@ count = 1
 duration = "1 us"
 """
 
+_WARM: set[tuple[type, type]] = set()
+
 
 @dataclass
 class Setup:
@@ -67,9 +69,14 @@ class Setup:
         self.state.update_activity()
 
 
-def make_model(dx: float, material: str = "copper-ge", speed: float = 600.0, **settings) -> Model:
-    """Return the model of a library material with the default settings; ``settings`` replaces some of them."""
-    scene = parse_scene(_SCENE.format(dx=dx, material=material, speed=speed), "test scene")
+def make_model(dx: float, material: str = "copper-ge", speed: float = 600.0, overrides: Sequence[str] = (),
+               **settings) -> Model:
+    """Return the model of a library material with the default settings; ``settings`` replaces some of them.
+
+    ``overrides``: "numerics.KEY=value" or "material.KEY=value", as ``f2s run --set`` takes them; later ones win.
+    Raises ``InputError`` for a wrong one.
+    """
+    scene = parse_scene(_SCENE.format(dx=dx, material=material, speed=speed), "small box", overrides)
     model = build_model(scene)
     return model._replace(settings=model.settings._replace(**settings))
 
@@ -98,6 +105,15 @@ def make_setup(cells: Sequence[int], model: Model, spheres: Sequence[tuple[float
         setup.report = paint_batch(state, model, batch, 0.0, tuple(velocity), temperature, setup.ledger, 1)
     setup.activate()
     return setup
+
+
+def warm_up(model: Model) -> None:
+    """Compile, or load, the kernels of the material models of ``model``, so that no wall time holds it. Collective."""
+    models = type(model.eos), type(model.flow)
+    if models not in _WARM:
+        _WARM.add(models)
+        setup = make_setup((8, 8, 8), model, [(4.0, 4.0, 4.0, 2.0)], (1.0, 1.0, 1.0), 298.15, 1.0)
+        setup.advance(2)
 
 
 def make_block(cells: Sequence[int], model: Model, temperature: float = 298.15,
