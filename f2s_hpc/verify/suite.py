@@ -96,7 +96,8 @@ def _checked(cases: list[Case], overrides: Sequence[str]) -> list[Case]:
             raise InputError(f"--set {override}: write it as NAME=VALUE")
         if not any(case.takes(override) for case in cases):
             who = f'case "{cases[0].name}" has' if len(cases) == 1 else "the chosen cases have"
-            raise InputError(f'--set {override}: {who} no setting "{name.strip()}"; {did_you_mean(name.strip(), known)}')
+            raise InputError(f'--set {override}: {who} no setting "{name.strip()}"; '
+                             f'{did_you_mean(name.strip(), known)}')
     make_model(1e-6, overrides=[o for o in overrides if o.strip().startswith("numerics.")])
     return cases
 

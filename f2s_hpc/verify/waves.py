@@ -8,12 +8,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from f2s_hpc import fields
 from f2s_hpc.fields import STRESS, VELOCITY
 from f2s_hpc.kernels.derived import cell_pressure
 from f2s_hpc.verify import sample
-from f2s_hpc.verify.box import (
-    Setup, cell_coordinates, make_block, make_model, never_yields, node_coordinates, warm_up)
+from f2s_hpc.verify.box import Setup, cell_coordinates, make_block, make_model, never_yields, node_coordinates, warm_up
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
 
 THIN = 3
