@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
-from f2s_hpc.verify import material, piston, waves
+from f2s_hpc.verify import material, piston, vof, waves
 from f2s_hpc.verify.case import Case
 
 MODULES = (
     material,
     waves,
     piston,
+    vof,
 )
 
 CASES: tuple[Case, ...] = tuple(case for module in MODULES for case in module.CASES)
