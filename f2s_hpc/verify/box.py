@@ -24,17 +24,17 @@ STANDARD_SIDES = ALL_SYMMETRY | {"z_low": "fixed", "z_high": "fixed"}
 _SCENE = """
 title = "a small box"
 [domain]
-size = ["1 mm", "1 mm", "1 mm"]
+size = ["{side!r} m", "{side!r} m", "{side!r} m"]
 cell_size = "{dx!r} m"
 substrate_height = "0 m"
-particle_layer_height = "1 mm"
+particle_layer_height = "{side!r} m"
 [material]
 name = "{material}"
 [particles]
 speed = "{speed!r} m/s"
 temperature = "298.15 K"
 [batches]
-spheres = [["0.5 mm", "0.5 mm", "0.5 mm", "0.1 mm"]]
+spheres = [["0 m", "0 m", "{radius!r} m", "{radius!r} m"]]
 [cycles]
 count = 1
 duration = "1 us"
@@ -76,7 +76,10 @@ def make_model(dx: float, material: str = "copper-ge", speed: float = 600.0, ove
     ``overrides``: "numerics.KEY=value" or "material.KEY=value", as ``f2s run --set`` takes them; later ones win.
     Raises ``InputError`` for a wrong one.
     """
-    scene = parse_scene(_SCENE.format(dx=dx, material=material, speed=speed), "small box", overrides)
+    # the box of this scene only sets the quanta of the ledger; 1 mm, within the cells that a scene may have
+    side = min(max(1e-3, 8.0 * dx), 1000.0 * dx)
+    text = _SCENE.format(dx=dx, side=side, radius=0.1 * side, material=material, speed=speed)
+    scene = parse_scene(text, "small box", overrides)
     model = build_model(scene)
     return model._replace(settings=model.settings._replace(**settings))
 

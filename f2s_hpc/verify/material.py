@@ -71,9 +71,10 @@ def _flow_stress(options: Options) -> Iterator[Measured]:
                 rows.append((f"{name}, flow stress", flow_stress(flow, *at[:3])[0], at[3], max(errors), 1e-6, False))
             for slope, error in zip(("PEEQ", "rate"), _difference_errors(flow, 1.0 / level)):
                 rows.append((f"{name}, slope in {slope}", error, 0.0, error, 1e-6 if finest else None, True))
+        spent = watch.read()
         for quantity, value, reference, error, bar, compares in rows:
             yield Measured(quantity, level, 1.0 / level, value, reference, error, bar, compares=compares,
-                           steps=1, cell_steps=0, wall_s=watch.read())
+                           steps=1, cell_steps=0, wall_s=spent)
 
 
 CASES = (

@@ -6,13 +6,16 @@ from collections.abc import Sequence
 
 from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
-from f2s_hpc.verify import material, piston, vof, waves
+from f2s_hpc.verify import heat, material, motion, piston, radial_return, vof, waves
 from f2s_hpc.verify.case import Case
 
 MODULES = (
     material,
+    radial_return,
     waves,
     piston,
+    motion,
+    heat,
     vof,
 )
 

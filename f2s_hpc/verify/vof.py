@@ -15,9 +15,6 @@ from f2s_hpc.verify.box import ALL_SYMMETRY, Setup, cell_coordinates, make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
 
 THIN = 3
-SIDE = 1e-3
-"""Side of the unit cube in metres: it plays no part, the errors are those of the unit cube."""
-
 _PI = math.pi
 ROUND_OFF = 1e-12
 
@@ -116,7 +113,7 @@ def _leveque(options: Options) -> Iterator[Measured]:
     for level in options.levels:
         cells = round(level)
         h = 1.0 / cells
-        model = make_model(h * SIDE, overrides=options.numerics)
+        model = make_model(h, overrides=options.numerics)
         warm_up(model)
         watch = Stopwatch()
         setup = make_setup((cells, cells, cells), model, [(0.35 * cells,) * 3 + (0.15 * cells,)], sides=ALL_SYMMETRY)
@@ -131,7 +128,7 @@ def _reversed(options: Options) -> Iterator[Measured]:
     for level in options.levels:
         cells = round(level)
         h = 1.0 / cells
-        model = make_model(h * SIDE, overrides=options.numerics)
+        model = make_model(h, overrides=options.numerics)
         warm_up(model)
         watch = Stopwatch()
         setup = make_setup((cells, cells, THIN), model, sides=ALL_SYMMETRY)
