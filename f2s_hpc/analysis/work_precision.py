@@ -100,9 +100,7 @@ def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool) 
         colour = _COLOURS[number]
         axes.loglog(walls, errors, color=colour, marker=_MARKERS[number], markersize=4.5, linewidth=1.3,
                     label="\n".join(textwrap.wrap(quantity, 30)), clip_on=False, zorder=3)
-        bars = [p["bar"] for p in points if p["bar"]]
-        if bars:
-            axes.axhline(bars[-1], color=colour, linewidth=0.9, linestyle=(0, (1, 2)), zorder=2)
+    _draw_bars(axes, shown)
     if marks:
         highest = max(shown.values(), key=lambda points: points[-1]["error"])
         for p in highest:
@@ -111,14 +109,27 @@ def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool) 
     _dress(axes)
 
 
+def _draw_bars(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]]) -> None:
+    """Draw the bars: a dotted line where one holds for all, else a dash above or below each point it is asked of."""
+    asked = [(p["wall_s"], p["bar"]) for points in lines.values() for p in points if p["bar"]]
+    if not asked:
+        return
+    style = {"color": _INK, "linewidth": 1.0, "label": "bar", "zorder": 2}
+    if len({bar for _, bar in asked}) == 1:
+        axes.axhline(asked[0][1], linestyle=(0, (1, 2)), **style)
+    else:
+        axes.loglog(*zip(*asked), linestyle="none", marker="_", markersize=16, markeredgewidth=1.2, **style)
+
+
 def _dress(axes: Any) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.margins(0.08, 0.12)
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
         decades = math.log10(high / low) if low > 0.0 else 2.0
-        axis.set_major_locator(LogLocator(10.0, subs=(1.0,) if decades > 2.0 else (1.0, 2.0, 5.0), numticks=8))
+        axis.set_major_locator(LogLocator(10.0, subs=(1.0,) if decades > 1.7 else (1.0, 2.0, 5.0), numticks=12))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if value >= 1e-3 else f"{value:.0e}"))
         axis.set_minor_formatter(NullFormatter())
     axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
     axes.tick_params(labelsize=8, colors=_INK, which="both")

@@ -14,7 +14,7 @@ from f2s_hpc.solver.heat import diffusivity
 from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import cell_coordinates, make_block, make_model, warm_up
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.motion import shear_step
+from f2s_hpc.verify.motion import few_cells, shear_step
 
 THIN = 3
 _MEAN, _SWING = 600.0, 100.0
@@ -50,7 +50,7 @@ def _plastic(options: Options) -> Iterator[Measured]:
         bulk, start = model.bulk, options["temperature"]
         warm_up(model)
         watch = Stopwatch()
-        setup = make_block((THIN, THIN, THIN), model, start)
+        setup = few_cells(model, start)
         state = setup.state
         step, work = 1.0 / level, 0.0
         for _ in range(math.ceil(options["shear"] / step)):
@@ -73,7 +73,7 @@ def _plastic(options: Options) -> Iterator[Measured]:
                            least_order=0.9 if number else None, **spent)
         totals = setup.ledger.totals()
         heat = totals["heat"] * model.energy_quantum
-        volume = THIN**3 * model.dx**3
+        volume = math.prod(state.part.box.extents)
         exact = bulk.density * bulk.specific_heat * rise * volume
         yield Measured("heat in the ledger (J)", level, step, heat, exact, abs(heat / exact - 1.0), 1e-8,
                        compares=False, **spent)

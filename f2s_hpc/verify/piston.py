@@ -97,8 +97,14 @@ def _profiles(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _front(place: np.ndarray, profile: np.ndarray, level: float) -> float:
-    """Return where ``profile``, seen from the far end, first rises above ``level`` (linear between points)."""
-    i = int(np.flatnonzero(profile >= level)[-1])
+    """Return where ``profile``, seen from the far end, first rises above ``level`` (linear between points).
+
+    NaN where there is no front: nothing is above, or even the far end is.
+    """
+    above = np.flatnonzero(profile >= level)
+    if not above.size or above[-1] == profile.size - 1:
+        return math.nan
+    i = int(above[-1])
     share = (profile[i] - level) / (profile[i] - profile[i + 1])
     return float(place[i] + share * (place[i + 1] - place[i]))
 
