@@ -40,8 +40,20 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("first", metavar="DIR")
     sub.add_argument("second", metavar="DIR")
     sub.add_argument("--exact", action="store_true", help="exit 0 only if every saved bit is equal")
+    _verify_arguments(command("verify", "measure the solver against known solutions, and judge it by its bars"))
     command("doctor", "tell what is installed, and write and read a file on two ranks")
     return parser
+
+
+def _verify_arguments(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("cases", nargs="*", metavar="CASE", help="names of cases (default: all)")
+    sub.add_argument("--list", action="store_true", help="list the cases and their settings, run nothing")
+    sub.add_argument("--full", action="store_true", help="full sizes instead of quick ones")
+    sub.add_argument("--set", dest="overrides", metavar="NAME=VALUE", action="append", default=[],
+                     help="replace a setting of the cases that have it, e.g. --set resolutions=16,32,64")
+    sub.add_argument("--json", metavar="FILE", help="write all rows as one JSON list")
+    sub.add_argument("--out", metavar="DIR", default="verification",
+                     help="folder for tables and plots (default: verification)")
 
 
 def _scenes(arguments: argparse.Namespace) -> int:
@@ -93,13 +105,23 @@ def _compare(arguments: argparse.Namespace) -> int:
     return 1 if arguments.exact and not comparison.identical else 0
 
 
+def _verify(arguments: argparse.Namespace) -> int:
+    from f2s_hpc import mpi
+    from f2s_hpc.verify import suite
+    if arguments.list:
+        if mpi.is_root():
+            print(suite.list_cases())
+        return 0
+    return suite.verify(arguments.cases, arguments.overrides, arguments.full, arguments.out, arguments.json)
+
+
 def _doctor(arguments: argparse.Namespace) -> int:
     from f2s_hpc.doctor import run_doctor
     return run_doctor(sys.stdout)
 
 
 _COMMANDS = {"scenes": _scenes, "check": _check, "run": _run, "resume": _resume, "particles": _particles,
-             "inspect": _inspect, "compare": _compare}
+             "inspect": _inspect, "compare": _compare, "verify": _verify}
 
 
 def main(arguments: list[str]) -> int:

@@ -24,21 +24,23 @@ STANDARD_SIDES = ALL_SYMMETRY | {"z_low": "fixed", "z_high": "fixed"}
 _SCENE = """
 title = "a small box"
 [domain]
-size = ["1 mm", "1 mm", "1 mm"]
+size = ["{side!r} m", "{side!r} m", "{side!r} m"]
 cell_size = "{dx!r} m"
 substrate_height = "0 m"
-particle_layer_height = "1 mm"
+particle_layer_height = "{side!r} m"
 [material]
 name = "{material}"
 [particles]
 speed = "{speed!r} m/s"
 temperature = "298.15 K"
 [batches]
-spheres = [["0.5 mm", "0.5 mm", "0.5 mm", "0.1 mm"]]
+spheres = [["0 m", "0 m", "{radius!r} m", "{radius!r} m"]]
 [cycles]
 count = 1
 duration = "1 us"
 """
+
+_WARM: set[tuple[type, type]] = set()
 
 
 @dataclass
@@ -67,9 +69,17 @@ class Setup:
         self.state.update_activity()
 
 
-def make_model(dx: float, material: str = "copper-ge", speed: float = 600.0, **settings) -> Model:
-    """Return the model of a library material with the default settings; ``settings`` replaces some of them."""
-    scene = parse_scene(_SCENE.format(dx=dx, material=material, speed=speed), "test scene")
+def make_model(dx: float, material: str = "copper-ge", speed: float = 600.0, overrides: Sequence[str] = (),
+               **settings) -> Model:
+    """Return the model of a library material with the default settings; ``settings`` replaces some of them.
+
+    ``overrides``: "numerics.KEY=value" or "material.KEY=value", as ``f2s run --set`` takes them; later ones win.
+    Raises ``InputError`` for a wrong one.
+    """
+    # the box of this scene only sets the quanta of the ledger; 1 mm, within the cells that a scene may have
+    side = min(max(1e-3, 8.0 * dx), 1000.0 * dx)
+    text = _SCENE.format(dx=dx, side=side, radius=0.1 * side, material=material, speed=speed)
+    scene = parse_scene(text, "small box", overrides)
     model = build_model(scene)
     return model._replace(settings=model.settings._replace(**settings))
 
@@ -98,6 +108,15 @@ def make_setup(cells: Sequence[int], model: Model, spheres: Sequence[tuple[float
         setup.report = paint_batch(state, model, batch, 0.0, tuple(velocity), temperature, setup.ledger, 1)
     setup.activate()
     return setup
+
+
+def warm_up(model: Model) -> None:
+    """Compile, or load, the kernels of the material models of ``model``, so that no wall time holds it. Collective."""
+    models = type(model.eos), type(model.flow)
+    if models not in _WARM:
+        _WARM.add(models)
+        setup = make_setup((8, 8, 8), model, [(4.0, 4.0, 4.0, 2.0)], (1.0, 1.0, 1.0), 298.15, 1.0)
+        setup.advance(2)
 
 
 def make_block(cells: Sequence[int], model: Model, temperature: float = 298.15,

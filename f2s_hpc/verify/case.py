@@ -15,6 +15,9 @@ from dataclasses import dataclass, field
 from f2s_hpc import units
 from f2s_hpc.errors import InputError
 
+SCENE_SECTIONS = ("numerics.", "material.")
+"""Sections of a scene whose keys every case takes."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -66,8 +69,14 @@ class Case:
     settings: dict[str, str] = field(default_factory=dict)
     dimensions: dict[str, str] = field(default_factory=dict)
 
+    def takes(self, override: str) -> bool:
+        """Tell whether ``override`` ("name=value") names a setting of this case."""
+        name = override.partition("=")[0].strip()
+        return name in (*self.settings, "resolutions") or name.startswith(SCENE_SECTIONS)
+
     def options(self, full: bool, overrides: list[str]) -> Options:
-        """Return the options of a run; ``overrides``: "name=value", "resolutions=8,12,16" or "numerics.KEY=value".
+        """Return the options of a run; ``overrides``: "name=value", "resolutions=8,12,16", "numerics.KEY=value"
+        or "material.KEY=value".
 
         Raises ``InputError`` naming the setting and what would be right.
         """
@@ -77,14 +86,14 @@ class Case:
             name, text = name.strip(), text.strip().strip("\"'")
             if not equals:
                 raise InputError(f"--set {override}: write it as NAME=VALUE")
-            if name.startswith("numerics."):
+            if name.startswith(SCENE_SECTIONS):
                 numerics.append(override)
             elif name == "resolutions":
                 levels = _resolutions(text)
             elif name in texts:
                 texts[name] = text
             else:
-                known = ", ".join([*texts, "resolutions", "numerics.KEY"])
+                known = ", ".join([*texts, "resolutions", "numerics.KEY", "material.KEY"])
                 raise InputError(f'--set {override}: case "{self.name}" has no setting "{name}" (it has {known})')
         return Options(full, tuple(levels), {name: self._value(name, text) for name, text in texts.items()},
                        tuple(numerics))
@@ -119,7 +128,7 @@ class Options:
     full: bool
     levels: tuple[float, ...]
     values: dict[str, float | str]
-    numerics: tuple[str, ...] = ()  # "numerics.KEY=value", as f2s run --set takes them
+    numerics: tuple[str, ...] = ()  # "numerics.KEY=value", "material.KEY=value", as f2s run --set takes them
 
     def __getitem__(self, name: str) -> float | str:
         return self.values[name]

@@ -1,0 +1,96 @@
+"""Heat: conduction in a slab, and the heat of plastic work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.fields import STRESS
+from f2s_hpc.materials.params import LinearHardening
+from f2s_hpc.solver.heat import diffusivity
+from f2s_hpc.verify import sample
+from f2s_hpc.verify.box import cell_coordinates, make_block, make_model, warm_up
+from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
+from f2s_hpc.verify.motion import few_cells, shear_step
+
+THIN = 3
+_MEAN, _SWING = 600.0, 100.0
+"""K: the slab's mean temperature, and the amplitude of the cosine in it."""
+
+
+def _slab(options: Options) -> Iterator[Measured]:
+    for number, level in enumerate(options.levels):
+        cells = round(level)
+        model = make_model(options["thickness"] / cells, options["material"], overrides=options.numerics)
+        warm_up(model)
+        watch = Stopwatch()
+        setup = make_block((cells, THIN, THIN), model)
+        state = setup.state
+        profile = np.cos(math.pi * cell_coordinates(state)[0] / cells)
+        state.views["temperature"][...] = _MEAN + _SWING * profile
+        state.exchange(("temperature",))
+        decay = diffusivity(model) * (math.pi / options["thickness"]) ** 2
+        setup.advance_to(options["decay"] / decay)
+        exact = _MEAN + _SWING * math.exp(-options["decay"]) * profile
+        off = (state.views["temperature"] - exact)[state.part.owned_cells]
+        square, count = sample.sums([(off**2).sum(), off.size])
+        error = math.sqrt(2.0 * square / count) / _SWING
+        yield Measured("temperature, L2", level, model.dx, error, 0.0, error, least_order=1.8 if number else None,
+                       steps=setup.clock.steps, cell_steps=sample.cell_steps(setup.clock), wall_s=watch.read())
+
+
+def _plastic(options: Options) -> Iterator[Measured]:
+    for number, level in enumerate(options.levels):
+        model = make_model(1e-6, options["material"], overrides=options.numerics)
+        # energies are counted in quanta that suit the whole box: here it is a few cells
+        model = model._replace(energy_quantum=model.energy_quantum * THIN**3 * model.dx**3 / 1e-9)
+        bulk, start = model.bulk, options["temperature"]
+        warm_up(model)
+        watch = Stopwatch()
+        setup = few_cells(model, start)
+        state = setup.state
+        step, work = 1.0 / level, 0.0
+        for _ in range(math.ceil(options["shear"] / step)):
+            before = state.owned("peeq")[0, 0, 0]
+            shear_step(setup, options["rate"], step / options["rate"])
+            parts = [state.owned(name)[0, 0, 0] for name in STRESS]
+            mises = math.sqrt(1.5 * (sum(s * s for s in parts[:3]) + 2.0 * sum(s * s for s in parts[3:])))
+            work += mises * (state.owned("peeq")[0, 0, 0] - before)
+        warmer = bulk.taylor_quinney / (bulk.density * bulk.specific_heat)
+        rise = float(state.owned("temperature")[0, 0, 0]) - start
+        spread = float(mpi.maximum(np.abs(state.owned("temperature") - start - rise).max()))
+        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        error = max(abs(rise / (warmer * work) - 1.0), spread / rise)
+        yield Measured("temperature rise, sum of stress times strain (K)", level, step, rise, warmer * work, error,
+                       1e-12 * max(1.0, start / rise), compares=False, **spent)
+        if isinstance(model.flow, LinearHardening):
+            strain = float(state.owned("peeq")[0, 0, 0])
+            exact = warmer * (model.flow.yield_stress + 0.5 * model.flow.modulus * strain) * strain
+            yield Measured("temperature rise, closed form (K)", level, step, rise, exact, abs(rise / exact - 1.0),
+                           least_order=0.9 if number else None, **spent)
+        totals = setup.ledger.totals()
+        heat = totals["heat"] * model.energy_quantum
+        volume = math.prod(state.part.box.extents)
+        exact = bulk.density * bulk.specific_heat * rise * volume
+        yield Measured("heat in the ledger (J)", level, step, heat, exact, abs(heat / exact - 1.0), 1e-8,
+                       compares=False, **spent)
+
+
+CASES = (
+    Case("heat-slab", """Conduction through a slab against the decaying cosine
+A slab at rest between insulating mirrors, its temperature a cosine of 100 K, decays by the factor exp(-decay) in the
+full solver (steps limited by sound). Error: L2 norm of the difference over that of the first cosine.""",
+         _slab, (8, 16, 32), (16, 32, 64), {"thickness": "20 um", "decay": "0.1", "material": "copper-ge"},
+         {"thickness": "length"}),
+    Case("plastic-heating", """Heat of plastic work in sheared cells (Taylor-Quinney)
+Cells in simple shear, one Lagrangian step after another. The temperature rise against the sum of von Mises stress times
+PEEQ increment over rho c, times the Taylor-Quinney share (round-off of the temperature), and against the closed form
+for linear hardening, (Y + H e / 2) e (order 1 of backward Euler); the heat that the ledger counted. "cells" and "dx"
+stand for steps per unit shear and shear per step.""",
+         _plastic, (50, 100, 200), (100, 300, 1000),
+         {"shear": "1.0", "rate": "1e6 1/s", "temperature": "25 degC", "material": "copper-taylor"},
+         {"rate": "rate", "temperature": "temperature"}),
+)

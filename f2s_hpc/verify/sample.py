@@ -1,0 +1,42 @@
+"""Numbers from distributed fields, the same on every rank."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from f2s_hpc import fields, mpi
+from f2s_hpc.solver.step import Clock
+from f2s_hpc.state import State
+
+
+def sums(values: Sequence[float]) -> np.ndarray:
+    """Return the sums over all ranks of this rank's ``values``, added in the order of the ranks."""
+    return np.sum(np.array(mpi.all_gather([float(v) for v in values])), axis=0)
+
+
+def along_x(state: State, values: np.ndarray) -> np.ndarray:
+    """Return on every rank the row of a field along x in the middle of the box (y and z).
+
+    ``values``: owned cells or nodes of this rank [k, j, i].
+    """
+    part = state.part
+    middle = [n // 2 for n in part.box.cells]
+    j, k = middle[1] - part.start[1], middle[2] - part.start[2]
+    inside = 0 <= j < part.count[1] and 0 <= k < part.count[2]
+    mine = (part.start[0], values[k, j, :].tolist()) if inside else None
+    pieces = sorted(piece for piece in mpi.all_gather(mine) if piece is not None)
+    return np.array([value for _, piece in pieces for value in piece])
+
+
+def cell_steps(clock: Clock) -> int:
+    """Return the active cells of all steps and all ranks."""
+    return int(mpi.total(np.int64(clock.active_cell_steps)))
+
+
+def owned_coordinates(state: State, coordinates: Sequence[np.ndarray], location: str) -> list[np.ndarray]:
+    """Return coordinate arrays (broadcastable to local cell or node arrays) cut to the owned part."""
+    owned = state.part.owned_cells if location == fields.CELL else state.part.owned_nodes
+    shape = state.part.cell_shape if location == fields.CELL else state.part.node_shape
+    return [np.broadcast_to(c, shape)[owned] for c in coordinates]

@@ -1,0 +1,146 @@
+"""``f2s verify``: run cases, print and write what they measured, and judge."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+from f2s_hpc import mpi
+from f2s_hpc.analysis.verification import case_table, overview_table
+from f2s_hpc.analysis.work_precision import draw_case, draw_overview
+from f2s_hpc.config.messages import did_you_mean
+from f2s_hpc.errors import F2SError, InputError, UnstableStep
+from f2s_hpc.verify.box import make_model
+from f2s_hpc.verify.case import Case, Measured, Options, Row, judged
+from f2s_hpc.verify.registry import find
+
+COLUMNS = ("case", "quantity", "resolution", "dx_m", "value", "reference", "error", "order", "bar", "least_order",
+           "passed", "steps", "cell_steps", "wall_s")
+"""Columns of the CSV and JSON files, SI."""
+
+
+def verify(names: Sequence[str], overrides: Sequence[str], full: bool, out: str | os.PathLike,
+           json_file: str | os.PathLike | None) -> int:
+    """Run the named cases (all if none), print their tables, write files into ``out``; return the exit code.
+
+    ``json_file``: where all rows go as one JSON list as well. 0 if no bar is missed, 1 otherwise. Collective; rank 0
+    prints and writes. Raises ``InputError`` for unknown cases and settings, before anything runs.
+    """
+    cases = find(names)
+    runs = [(case, _options(case, full, overrides)) for case in _checked(cases, overrides)]
+    folder = pathlib.Path(out)
+    mpi.run_together(_prepare, folder, json_file)
+    all_rows: list[dict[str, Any]] = []
+    for case, options in runs:
+        rows = [as_dict(row) for row in run_case(case, options)]
+        all_rows += rows
+        _say(case_table(case.name, case.text, rows) + "\n")
+        mpi.run_together(_write_case, folder, case, rows)
+        if json_file is not None:
+            # after every case, so that a long job that is cut off leaves what it had
+            mpi.run_together(_write_json, pathlib.Path(json_file), all_rows)
+    _say(overview_table(all_rows))
+    mpi.run_together(draw_overview, all_rows, folder / "overview.png")
+    _say(f"tables and plots: {folder}")
+    return 1 if any(row["passed"] is False for row in all_rows) else 0
+
+
+def list_cases() -> str:
+    """Return all cases with their settings as text."""
+    lines = []
+    for case in find(()):
+        settings = ", ".join(f"{name}={text}" for name, text in case.settings.items())
+        lines.append(f"{case.name:24s} {case.text.splitlines()[0]}")
+        lines.append(f"{'':24s} resolutions {_levels(case.quick)}; full {_levels(case.full)}"
+                     + (f"; settings {settings}" if settings else ""))
+    return "\n".join(lines)
+
+
+def _levels(levels: Sequence[float]) -> str:
+    return ",".join(f"{level:g}" for level in levels)
+
+
+def run_case(case: Case, options: Options) -> list[Row]:
+    """Return the judged rows of one case; a run that the solver stops leaves a row that has failed."""
+    measured: list[Measured] = []
+    try:
+        for row in case.run(options):
+            measured.append(row)  # noqa: PERF402  (what was measured before a stop is kept)
+    except UnstableStep as stop:
+        measured.append(Measured(f"stopped: {stop}", math.nan, math.nan, math.nan, None, math.inf, bar=0.0,
+                                 compares=False))
+    return judged(case.name, measured)
+
+
+def as_dict(row: Row) -> dict[str, Any]:
+    """Return a row as plain numbers and text, keys as :data:`COLUMNS` and ``compares``."""
+    m = row.measured
+    return {"case": row.case, "quantity": m.quantity, "resolution": m.resolution, "dx_m": m.dx_m, "value": m.value,
+            "reference": m.reference, "error": m.error, "order": row.order, "bar": m.bar, "least_order": m.least_order,
+            "passed": row.passed, "steps": m.steps, "cell_steps": m.cell_steps, "wall_s": m.wall_s,
+            "compares": m.compares}
+
+
+def _checked(cases: list[Case], overrides: Sequence[str]) -> list[Case]:
+    """Return ``cases``; raise ``InputError`` for an override that none of them knows or whose value is wrong."""
+    known = dict.fromkeys(name for case in cases for name in (*case.settings, "resolutions"))
+    for override in overrides:
+        name, equals, _ = override.partition("=")
+        if not equals:
+            raise InputError(f"--set {override}: write it as NAME=VALUE")
+        if not any(case.takes(override) for case in cases):
+            who = f'case "{cases[0].name}" has' if len(cases) == 1 else "the chosen cases have"
+            raise InputError(f'--set {override}: {who} no setting "{name.strip()}"; '
+                             f'{did_you_mean(name.strip(), known)}')
+    make_model(1e-6, overrides=[o for o in overrides if o.strip().startswith("numerics.")])
+    return cases
+
+
+def _options(case: Case, full: bool, overrides: Sequence[str]) -> Options:
+    return case.options(full, [override for override in overrides if case.takes(override)])
+
+
+def _finite(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row's columns, with nothing where a number is not finite: JSON has no word for it."""
+    return {key: None if isinstance(row[key], float) and not math.isfinite(row[key]) else row[key] for key in COLUMNS}
+
+
+def _prepare(folder: pathlib.Path, json_file: str | os.PathLike | None) -> None:
+    """Make the folders now: a place that can not be written must not be found out after an hour."""
+    for path in (folder, *([pathlib.Path(json_file).parent] if json_file is not None else ())):
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{path}: no folder can be made there ({error.strerror or error})") from None
+
+
+def _write_case(folder: pathlib.Path, case: Case, rows: list[dict[str, Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    _write(folder / f"{case.name}.csv", text.getvalue())
+    _write_json(folder / f"{case.name}.json", rows)
+    draw_case(rows, folder / f"{case.name}.png", case.name, case.text.splitlines()[0])
+
+
+def _write_json(path: pathlib.Path, rows: list[dict[str, Any]]) -> None:
+    _write(path, json.dumps([_finite(row) for row in rows], indent=1, allow_nan=False) + "\n")
+
+
+def _write(path: pathlib.Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise F2SError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+def _say(text: str) -> None:
+    if mpi.is_root():
+        print(text, flush=True)

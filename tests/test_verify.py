@@ -1,0 +1,264 @@
+"""``f2s verify``: every analytic case at quick size with the errors it must reach, and the command itself."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import pytest
+
+from f2s_hpc import mpi
+from f2s_hpc.analysis.verification import case_table, overview_table
+from f2s_hpc.analysis.work_precision import curves
+from f2s_hpc.cli.main import main
+from f2s_hpc.errors import InputError, UnstableStep
+from f2s_hpc.verify import suite
+from f2s_hpc.verify.box import make_model
+from f2s_hpc.verify.case import Case, Measured
+from f2s_hpc.verify.piston import two_waves
+from f2s_hpc.verify.registry import CASES, find
+
+KEYS = {"case", "quantity", "resolution", "dx_m", "value", "reference", "error", "order", "bar", "least_order",
+        "passed", "steps", "cell_steps", "wall_s"}
+
+
+def measure(name: str, *overrides: str) -> list[dict]:
+    """Return the rows of a case at quick size."""
+    (case,) = find([name])
+    return [suite.as_dict(row) for row in suite.run_case(case, case.options(False, list(overrides)))]
+
+
+def finest(rows: list[dict]) -> dict[str, float]:
+    """Return the error of each quantity at its finest resolution."""
+    return {row["quantity"]: row["error"] for row in rows}
+
+
+def check(rows: list[dict], limits: dict[str, float], unmet: tuple[tuple[str, float], ...] = ()) -> None:
+    """Check that all bars are met but those of ``unmet`` (quantity, resolution), and the finest errors ``limits``."""
+    assert {row["quantity"] for row in rows} == set(limits)
+    missed = [(row["quantity"], row["resolution"], row["error"], row["bar"], row["order"]) for row in rows
+              if row["passed"] is False and (row["quantity"], row["resolution"]) not in unmet]
+    assert not missed
+    for quantity, error in finest(rows).items():
+        assert error <= limits[quantity], quantity
+    assert all(row["steps"] > 0 for row in rows)
+
+
+# --- cases -------------------------------------------------------------------------------------------
+
+
+def test_elastic_wave_is_of_second_order():
+    """Fails when one ``0.25 / dx`` of ``lagrangian_step`` becomes ``0.26 / dx``."""
+    check(measure("elastic-wave"), {"stress, L2": 7.5e-4, "velocity, L2": 7.5e-4})
+
+
+def test_elastic_wave_along_the_diagonal_is_of_second_order():
+    """Fails when ``(x - y + z)`` of ``_corner_forces`` becomes ``(x + z)``."""
+    check(measure("elastic-wave-diagonal"), {"stress, L2": 3.5e-3, "velocity, L2": 3.5e-3})
+
+
+@pytest.mark.parametrize(("name", "plateau", "overshoot"),
+                         [("piston", 2e-4, 1e-3), ("piston-100", 1e-3, 0.015), ("piston-300", 3e-3, 0.05)])
+def test_piston_meets_the_two_wave_solution(name, plateau, overshoot):
+    """Fails when ``+ eos.gamma * eos.density * energy`` of ``_grueneisen_pressure`` is left out."""
+    check(measure(name), {
+        "plateau stress (Pa)": plateau, "plateau velocity (m/s)": plateau, "plastic wave speed (m/s)": 4e-3,
+        "precursor stress (Pa)": 3e-3, "precursor velocity (m/s)": 3e-3, "precursor wave speed (m/s)": 1.5e-3,
+        "overshoot of stress (Pa)": overshoot})
+
+
+def test_two_waves_are_the_published_ones():
+    """Udaykumar et al. 2003: all printed digits; fails when ``0.5 * yielding / shear`` becomes ``yielding / shear``."""
+    precursor, plastic = two_waves(make_model(1e-6, "copper-piston"), 20.0)
+    values = (precursor.speed, precursor.velocity, precursor.density, precursor.energy, precursor.stress)
+    assert values == pytest.approx((4722.18, 4.7198, 8938.93, 11.138, 199.03e6), rel=4e-5)
+    values = (plastic.speed, plastic.density, plastic.energy, plastic.stress)
+    assert values == pytest.approx((3976.96, 8973.45, 213.53, 741.59e6), rel=5e-6)
+    with pytest.raises(InputError, match=r"faster than 4\.72"):
+        two_waves(make_model(1e-6, "copper-piston"), 4.0)
+
+
+def test_leveque_field_brings_the_sphere_back():
+    """E1 at 32 below plicRDF's 7.743e-3; fails when ``distance - a * start`` of ``slab_volume`` is ``distance``."""
+    check(measure("vof-leveque"), {"E1": 7.743e-3, "volume": 1e-12, "mass": 1e-12})
+
+
+@pytest.mark.slow
+def test_reversed_vortex_brings_the_disc_back():
+    """E1 at 64 below 1.2 times the reference; fails when ``distance - a * start`` of ``slab_volume`` is ``distance``.
+
+    Volume keeps to 1e-7 only, as components of a normal are cut off at 1e-7 there.
+    """
+    levels = (16.0, 32.0, 64.0)
+    unmet = (("E1", 32.0), *((quantity, level) for quantity in ("volume", "mass") for level in levels))
+    check(measure("vof-vortex"), {"E1": 1.2 * 0.0108781, "volume": 1e-7, "mass": 1e-7}, unmet)
+
+
+@pytest.mark.slow
+def test_free_flight_changes_nothing():
+    """Fails when ``(q_low - q)`` of the remap's updates is taken at the other face.
+
+    The stress of slivers of 1e-6 of a cell keeps to 1e-4 of the yield stress only.
+    """
+    check(measure("free-flight"), {"velocity": 1e-9, "stress": 1e-4, "temperature": 1e-7, "PEEQ": 0.0, "mass": 1e-12},
+          (("stress", 7.0), ("temperature", 7.0)))
+
+
+def test_rotation_keeps_the_invariants():
+    """Fails when ``second`` of ``_sweep_fields`` becomes 0.0 (a remap of first order)."""
+    check(measure("rotating-block"), {"von Mises stress, L1": 0.025, "third invariant, L1": 0.023, "shape, L1": 0.022,
+                                      "mass": 1e-12})
+
+
+def test_simple_shear_follows_the_closed_form():
+    """Fails when ``+ shear_modulus * dxy`` is left out of ``qxy`` in ``_trial_stress``."""
+    rows = measure("simple-shear")
+    check(rows, dict.fromkeys(("stress xx", "stress yy", "stress xy"), 2e-7))
+    assert all(row["order"] > 1.95 for row in rows if row["resolution"] > 100)
+
+
+def test_heat_slab_decays_at_second_order():
+    """Fails when ``number * total`` of ``heat_gained`` becomes ``0.99 * number * total``."""
+    check(measure("heat-slab"), {"temperature, L2": 8e-5})
+
+
+def test_plastic_work_heats_to_round_off():
+    """Fails when ``s[PLASTIC * W + i]`` of the power in ``_heat_chunk`` becomes ``s[STRAIN * W + i]``."""
+    check(measure("plastic-heating"), {"temperature rise, sum of stress times strain (K)": 5e-12,
+                                       "temperature rise, closed form (K)": 4e-4, "heat in the ledger (J)": 1e-8})
+
+
+def test_radial_return_solves_random_states():
+    """Fails when ``1e-13 * trial`` of ``return_map`` becomes ``1e-9 * trial``, or ``MAX_ITERATIONS`` becomes 20."""
+    names = ("Ge", "Johnson-Cook", "linear hardening")
+    limits = {f"{name}: {what}": limit for name in names for what, limit in (
+        ("flow stress", 1e-11), ("3 G increment over trial stress", 1e-12), ("iterations", 79))}
+    check(measure("radial-return", "resolutions=3000,10000"), limits)
+
+
+def test_flow_stress_has_the_tabulated_values():
+    """Fails when ``alpha`` of copper-ge in the library becomes 7.51 MPa, or ``slope_rate`` loses a term."""
+    limits = {f"{name}, {what}": limit for name in ("Ge", "Johnson-Cook") for what, limit in (
+        ("flow stress", 1e-8), ("slope in PEEQ", 1e-8), ("slope in rate", 1e-8))}
+    check(measure("flow-stress"), limits)
+
+
+@pytest.mark.mpi
+def test_rows_are_the_same_on_every_rank(shared_path):
+    """Waves and a turning block on any number of ranks; fails when ``sample.sums`` returns this rank's own sums."""
+    assert suite.verify(["elastic-wave", "rotating-block", "simple-shear"], ["resolutions=12,16", "shear=1"], False,
+                        shared_path, shared_path / "rows.json") == 1  # at 16 the shear's steps are not small
+    rows = json.loads((shared_path / "rows.json").read_text(encoding="utf-8"))
+    errors = {(row["case"], row["quantity"], row["resolution"]): row["error"] for row in rows}
+    assert errors["elastic-wave", "stress, L2", 12] == pytest.approx(1.08041e-2, rel=1e-5)
+    assert errors["rotating-block", "von Mises stress, L1", 12] < 0.15
+    mine = [row["error"] for row in measure("rotating-block", "resolutions=12")]
+    assert all(other == mine for other in mpi.all_gather(mine))
+
+
+# --- the command -------------------------------------------------------------------------------------
+
+
+def test_command_writes_tables_and_plots(run_f2s, tmp_path):
+    """Exit code 0, table, overview, CSV, JSON and PNG; fails when ``_write_case`` leaves out one of the three files."""
+    result = run_f2s(["verify", "simple-shear", "heat-slab", "--set", "resolutions=100,200,600", "--set", "shear=1",
+                      "--set", "decay=0.001", "--json", "rows.json", "--out", "figures"])
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "simple-shear: Elastic simple shear" in result.stdout
+    assert "of 5 bars met" in result.stdout
+    rows = json.loads((tmp_path / "rows.json").read_text(encoding="utf-8"))
+    assert len(rows) == 12
+    assert set(rows[0]) == KEYS
+    assert {row["case"] for row in rows} == {"simple-shear", "heat-slab"}
+    folder = tmp_path / "figures"
+    with (folder / "simple-shear.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [float(line["error"]) for line in table] == [row["error"] for row in rows[:9]]
+    assert json.loads((folder / "simple-shear.json").read_text(encoding="utf-8")) == rows[:9]
+    for name in ("simple-shear", "heat-slab", "overview"):
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_missed_bar_gives_exit_code_1(tmp_path, capsys):
+    """A wave that is not weak, dust that takes volume away; fails when the last line of ``verify`` returns 0."""
+    assert main(["verify", "elastic-wave", "--set", "strain=0.05", "--set", "resolutions=8,16",
+                 "--out", str(tmp_path)]) == 1
+    assert "MISSED" in capsys.readouterr().out
+    assert main(["verify", "vof-leveque", "--set", "resolutions=8", "--set", "numerics.dust=1e-4",
+                 "--out", str(tmp_path)]) == 1
+    assert "0 of 2 bars met" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["elastic-wav"], 'no verification case "elastic-wav"; did you mean "elastic-wave"?'),
+    (["elastic-wave", "--set", "strin=1"], 'case "elastic-wave" has no setting "strin"; did you mean "strain"?'),
+    (["heat-slab", "elastic-wave", "--set", "sheer=1"], 'the chosen cases have no setting "sheer"'),
+    (["elastic-wave", "--set", "length=3 K"], "--set length: "),
+    (["elastic-wave", "--set", "resolutions=8,4"], "write rising numbers with commas"),
+    (["elastic-wave", "--set", "strain"], "write it as NAME=VALUE"),
+    (["elastic-wave", "--set", "numerics.courrant=0.4"], "numerics.courrant"),
+    (["piston", "--set", "speed=1 m/s", "--set", "resolutions=20"], "the piston must be faster than 4.72 m/s"),
+])
+def test_wrong_names_are_one_line(arguments, said, tmp_path, capsys):
+    """Exit code 2 and one line on standard error; fails when ``did_you_mean`` is left out of ``find``."""
+    assert main(["verify", *arguments, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said in error
+
+
+def test_a_setting_needs_only_one_of_the_cases(tmp_path):
+    """``shear`` is no setting of heat-slab; fails when ``any`` of ``_checked`` becomes ``all``."""
+    assert main(["verify", "simple-shear", "heat-slab", "--set", "shear=0.1", "--set", "resolutions=100,1000",
+                 "--set", "decay=1e-6", "--out", str(tmp_path)]) == 0
+
+
+def test_list_names_every_case(capsys):
+    """Fails when ``list_cases`` leaves out the settings or a case."""
+    assert main(["verify", "--list"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"{case.name} " in printed for case in CASES)
+    assert "strain=1e-6" in printed
+    assert len({case.name for case in CASES}) == len(CASES)
+
+
+def test_a_run_that_the_solver_stops_is_a_missed_bar():
+    """Rows before the stop stay, the stop is one more; fails when ``bar=0.0`` of ``run_case`` becomes ``bar=None``."""
+    def run(options):
+        yield Measured("height", 4, 1.0, 2.0, 2.1, 0.05, 0.1)
+        raise UnstableStep("the time step collapsed")
+
+    case = Case("c", "title", run, (4.0,), (4.0,))
+    rows = [suite.as_dict(row) for row in suite.run_case(case, case.options(False, []))]
+    assert [row["passed"] for row in rows] == [True, False]
+    assert rows[1]["quantity"] == "stopped: the time step collapsed"
+    assert "1 of 2 bars met" in overview_table(rows)
+
+
+def row(**changed) -> dict:
+    """Return a row of a table."""
+    return {"case": "c", "quantity": "q", "resolution": 8.0, "dx_m": 0.1, "value": 1.0, "reference": None, "error": 0.1,
+            "order": None, "bar": None, "least_order": None, "passed": None, "steps": 5, "cell_steps": 50,
+            "wall_s": 0.5, "compares": True} | changed
+
+
+def test_tables_say_what_is_missed():
+    """Fails when ``missed or rows`` of ``_tightest`` becomes ``rows``."""
+    rows = [row(bar=0.11, passed=True), row(quantity="other", error=0.2, bar=1.9, passed=False, least_order=1.0)]
+    assert "MISSED: other, 8 cells: error 2.00e-01, bar 1.9, order 1" in overview_table(rows)
+    assert "1 of 2 bars met" in overview_table(rows)
+    lines = case_table("c", "title\nand more", rows).splitlines()
+    assert lines[0] == "c: title"
+    assert len({line.index(end) + len(end) for line, end in zip(lines[4:], ("met", "MISSED"))}) == 1
+
+
+def test_curves_need_work_and_errors():
+    """Points without an error or time, and quantities that took no longer when finer, make no curve; fails when
+    ``1.2 * points[0]`` becomes ``0.0 * points[0]``.
+    """
+    fine = row(resolution=16.0, wall_s=2.0, error=0.01)
+    assert curves([row(), fine]) == {"q": [row(), fine]}
+    assert curves([row(), row(resolution=16.0)]) == {}
+    assert curves([row(compares=False), row(compares=False, wall_s=3.0)]) == {}
+    assert curves([row(error=math.inf), fine]) == {}
