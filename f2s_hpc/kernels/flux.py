@@ -79,12 +79,19 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
             volume = 1.0 + ax * (gx[n + 1] - gx[n]) + ay * (gy[n + row1] - gy[n]) + az * (gz[n + plane1] - gz[n])
             a, b, c = interface_normal(fraction, cell + i, sx, sy, sz)
             distance = plane_distance(abs(a), abs(b), abs(c), f)
+            # what stays must fit into the rest of the cell, to the last digit: an overfull cell would lose volume
+            rest, kept = 1.0, f
             if low < 0.0:
                 share = min(-low / volume, 1.0)
-                flux[n] = -volume * min(slab_volume(a, b, c, distance, share, False), f)
+                rest -= share
+                leaves = min(max(slab_volume(a, b, c, distance, share, False), kept - rest), kept, share)
+                flux[n] = -volume * leaves
+                kept -= leaves
             if high > 0.0:
-                share = min(high / volume, 1.0)
-                flux[n + step] = volume * min(slab_volume(a, b, c, distance, share, True), f)
+                share = min(high / volume, rest)
+                rest -= share
+                leaves = min(max(slab_volume(a, b, c, distance, share, True), kept - rest), kept, share)
+                flux[n + step] = volume * leaves
 
 
 @kernel

@@ -25,6 +25,14 @@ def _sorted(a, b, c):
 
 
 @kernel
+def _shares(a, b, c):
+    """Return the three components in rising order, none below the least one, adding up to one."""
+    a, b, c = max(a, _SMALLEST), max(b, _SMALLEST), max(c, _SMALLEST)
+    total = a + b + c
+    return _sorted(a / total, b / total, c / total)
+
+
+@kernel
 def volume_below(a, b, c, distance):
     """Return the volume of the unit cube where a x + b y + c z < distance; a, b, c >= 0, not all zero."""
     total = a + b + c
@@ -32,7 +40,7 @@ def volume_below(a, b, c, distance):
         return 0.0
     if distance >= total:
         return 1.0
-    m1, m2, m3 = _sorted(max(a / total, _SMALLEST), max(b / total, _SMALLEST), max(c / total, _SMALLEST))
+    m1, m2, m3 = _shares(a / total, b / total, c / total)
     alpha = distance / total
     mirrored = alpha > 0.5
     if mirrored:
@@ -57,7 +65,7 @@ def volume_below(a, b, c, distance):
 @kernel
 def plane_distance(a, b, c, volume):
     """Return the distance d with volume_below(a, b, c, d) = volume; a, b, c >= 0 and a + b + c = 1."""
-    m1, m2, m3 = _sorted(max(a, _SMALLEST), max(b, _SMALLEST), max(c, _SMALLEST))
+    m1, m2, m3 = _shares(a, b, c)
     m12 = m1 + m2
     v = min(volume, 1.0 - volume)
     six = 6.0 * m1 * m2 * m3

@@ -16,7 +16,8 @@ ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, NORM = 25, 26, 27
 """Energies per cell volume (J/m3), in the order of the sums: elastic before and after, plastic work, heat, shock
 viscosity, heat from numerical losses; then the squared norm of the gradient."""
 
-THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, ROWS = 32, 33, 34, 35, 36, 37, 38, 39
+THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, RETURNED_STRESS, ROWS = (
+    32, 33, 34, 35, 36, 37, 38, 39, 40)
 """Rows of the yielding cells alone, side by side."""
 
 
@@ -24,7 +25,7 @@ THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, ROWS = 32, 33, 34
 def _gather_yielding(flow, mass, peeq, temperature, stiffness, place, s):
     """List the cells of a chunk whose trial stress exceeds the static flow stress; return how many there are.
 
-    ``place`` takes their indices; rows THETA to LAST what the return needs of them.
+    ``place`` takes their indices; rows THETA to RETURNED_STRESS what the return needs of them.
     """
     n = mass.size
     for i in range(n):
@@ -48,6 +49,7 @@ def _gather_yielding(flow, mass, peeq, temperature, stiffness, place, s):
         s[LOW * W + c] = 0.0
         s[HIGH * W + c] = high
         s[LAST * W + c] = 0.0
+        s[RETURNED_STRESS * W + c] = 0.0
     return count
 
 
@@ -67,10 +69,12 @@ def return_chunk(flow, mass, peeq, temperature, dt, shear_modulus, place, s):
     for _ in range(MAX_ITERATIONS):
         for c in range(count):
             before = s[INCREMENT * W + c]
-            found, low, high, last = return_step(flow, s[THETA * W + c], s[TRIAL_MISES * W + c], stiffness,
-                                                 s[STRAIN_BEFORE * W + c], dt, before, s[LOW * W + c], s[HIGH * W + c])
+            found, low, high, last, stress = return_step(flow, s[THETA * W + c], s[TRIAL_MISES * W + c], stiffness,
+                                                         s[STRAIN_BEFORE * W + c], dt, before, s[LOW * W + c],
+                                                         s[HIGH * W + c])
             done = s[LAST * W + c]
             s[INCREMENT * W + c] = before if done > 0.0 else found
+            s[RETURNED_STRESS * W + c] = s[RETURNED_STRESS * W + c] if done > 0.0 else stress
             s[LOW * W + c] = low
             s[HIGH * W + c] = high
             s[LAST * W + c] = max(done, last)
@@ -80,8 +84,7 @@ def return_chunk(flow, mass, peeq, temperature, dt, shear_modulus, place, s):
         if running == 0.0:
             break
     for c in range(count):
-        i, plastic = place[c], s[INCREMENT * W + c]
-        stress = s[TRIAL_MISES * W + c] - stiffness * plastic
+        i, plastic, stress = place[c], s[INCREMENT * W + c], s[RETURNED_STRESS * W + c]
         s[PLASTIC * W + i] = plastic
         s[FLOW * W + i] = stress
         s[RATIO * W + i] = stress / s[TRIAL_MISES * W + c]

@@ -138,8 +138,12 @@ def _blend_velocity(field, mass, low_moved, high_moved, low_value, high_value, i
     seen from (DeBar 1974, UCID-19683). In units of half full nodes (m/s)^2.
     """
     for i in range(field.size):
-        old = field[i]
-        new = old + (low_moved[i] * (low_value[i] - old) - high_moved[i] * (high_value[i] - old)) * inverse[i]
+        old, low_in, high_in = field[i], low_moved[i], -high_moved[i]
+        # in differences from the largest part, so that what flies in company keeps its velocity to the last bit
+        most = low_value[i] if low_in >= high_in else high_value[i]
+        base = old if mass[i] >= max(low_in, high_in) else most
+        parts = mass[i] * (old - base) + low_in * (low_value[i] - base) + high_in * (high_value[i] - base)
+        new = base + parts * inverse[i]
         low, high, kept = low_value[i] - new, high_value[i] - new, old - new
         field[i] = new
         lost[i] += mass[i] * kept * kept + (low_moved[i] * low * low - high_moved[i] * high * high)

@@ -1,11 +1,11 @@
 """Cells that a free surface crosses: no traction along its normal, and no strain of material by the opening of void.
 
-In a partly filled cell part of the volume change is void that opens or closes along the surface normal n. Material there
-is taken at constant volume, its strain rate  D - tr(D) n n , and its pressure is that of zero normal traction,
-p = n.s.n . In the plane of the surface the material then bears its full flow stress (with p = 0 a sheet in biaxial tension
-bore a third of it, and tore). The two belong together: stress power (s - p) : D is s : (D - tr(D) n n), so no energy is
-made or lost. Where the volume fraction hardly varies, the void is inside and has no direction: n n gives way to a third
-of unity, and p to zero.
+In a partly filled cell part of the volume change is void that opens or closes along the surface normal n. Material
+there is taken at constant volume, its strain rate  D - tr(D) n n , and its pressure is that of zero normal traction,
+p = n.s.n . In the plane of the surface the material then bears its full flow stress (with p = 0 a sheet in biaxial
+tension bore a third of it, and tore). The two belong together: stress power (s - p) : D is s : (D - tr(D) n n), so no
+energy is made or lost. Where the volume fraction hardly varies, the void is inside and has no direction: n n gives way
+to a third of unity, and p to zero.
 """
 
 from __future__ import annotations

@@ -217,7 +217,7 @@ def _sum_row(row, n, scale, s):
     """Return the exact integer sum of a scratch row in quanta; ``scale``: quanta per unit."""
     total = np.int64(0)
     for i in range(n):
-        total += np.int64(s[row * W + i] * scale)
+        total += np.int64(math.floor(s[row * W + i] * scale + 0.5))
     return total
 
 

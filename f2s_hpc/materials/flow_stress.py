@@ -162,10 +162,11 @@ def static_flow_stress(flow, eps, temperature):
 
 @inlined
 def return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high):
-    """Do one bracketed Newton step of the radial return: increment, low, high anew, and 1.0 if it was the last.
+    """Do one bracketed Newton step of the radial return: increment, low, high anew, 1.0 if it was the last, stress.
 
     ``theta``: thermal factor; ``stiffness``: 3 G. A step that leaves the bracket becomes a bisection. The last step is
-    taken where the residual is below 1e-13 of the trial stress, or the bracket has shrunk to round-off.
+    taken where the residual is below 1e-13 of the trial stress, or the bracket has shrunk to round-off; the flow stress
+    is that at the increment given (the difference trial - 3 G d has no digits left near melting).
     """
     stress, slope_strain, slope_rate = cold_flow_stress(flow, eps + increment, increment / dt)
     residual = (trial - stiffness * increment) - theta * stress
@@ -175,7 +176,7 @@ def return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high):
     proposal = proposal if (proposal > low and proposal < high) else 0.5 * (low + high)
     small = abs(residual) <= 1e-13 * trial
     last = small or proposal == increment or high - low <= 1e-16 * high
-    return increment if small else proposal, low, high, 1.0 if last else 0.0
+    return increment if small else proposal, low, high, 1.0 if last else 0.0, theta * stress
 
 
 @kernel
@@ -199,11 +200,11 @@ def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
     theta = softening(flow, temperature)
     low, high = 0.0, (trial - static) / stiffness
     increment = guess if low < guess < high else 0.5 * high
-    iteration, last = 0, 0.0
+    iteration, last, stress = 0, 0.0, static
     while last == 0.0 and iteration < MAX_ITERATIONS:
-        increment, low, high, last = return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high)
+        increment, low, high, last, stress = return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high)
         iteration += 1
-    return increment, trial - stiffness * increment, iteration
+    return increment, stress, iteration
 
 
 __all__ = ["MAX_ITERATIONS", "cold_flow_stress", "flow_stress", "hardening", "rate_terms", "return_map", "return_step",

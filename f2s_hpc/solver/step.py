@@ -52,7 +52,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     dt, clock.stop = size.dt, bool(size.rates[4])
     ledger.add_power("hourglass_power", power[0], dt)
 
-    lagrange.kick(state, model, dt, ledger)
+    # from the middle of the last step to the middle of this one; at the start only the second half
+    lagrange.kick(state, model, 0.5 * (dt + (clock.dt or 0.0)), ledger)
     limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(
         state, model, ledger, max(size.rates[1], size.rates[2]))
     if model.settings.conduction:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
-from f2s_hpc.verify import heat, material, motion, piston, radial_return, vof, waves
+from f2s_hpc.verify import contact, deposit, heat, impact, material, motion, piston, radial_return, taylor, vof, waves
 from f2s_hpc.verify.case import Case
 
 MODULES = (
@@ -17,6 +17,10 @@ MODULES = (
     motion,
     heat,
     vof,
+    taylor,
+    impact,
+    deposit,
+    contact,
 )
 
 CASES: tuple[Case, ...] = tuple(case for module in MODULES for case in module.CASES)

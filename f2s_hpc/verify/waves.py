@@ -93,10 +93,9 @@ def _run(directions: int, options: Options) -> Iterator[Measured]:
         watch = Stopwatch()
         setup = make_block([cells if axis < directions else THIN for axis in range(3)], model)
         mode = Mode(setup, cells, directions, options["strain"])
-        # velocity stands half a step before everything else
         step = model.settings.courant * dx / mode.sound
         for axis, name in enumerate(VELOCITY):
-            setup.state.views[name][...] = mode.velocity(axis, -0.5 * step)
+            setup.state.views[name][...] = mode.velocity(axis, 0.0)
         setup.state.boundary.hold([setup.state.views[name] for name in VELOCITY])
         setup.state.exchange(VELOCITY)
         # whole steps of one size: the shared last steps of a cycle would add an error of their own
