@@ -39,7 +39,11 @@ def cache_directory() -> str:
 os.environ.setdefault("NUMBA_CACHE_DIR", cache_directory())
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
+import llvmlite.binding  # noqa: E402
 import numba  # noqa: E402  (the cache folder must be known first)
+
+# Row kernels work on a dozen arrays; by default LLVM gives up vectorising beyond eight tests that they do not overlap.
+llvmlite.binding.set_option("f2s_hpc", "-runtime-memory-check-threshold=64")
 
 
 def kernel(function):

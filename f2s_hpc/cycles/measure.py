@@ -130,7 +130,8 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
     kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
     energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
     brought = energy["brought_in"]
-    lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "remainder"))
+    lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "time_step",
+                                             "remainder"))
     if not model.settings.viscous_heating:
         lost += energy["shock_viscosity"]
     return {

@@ -167,6 +167,35 @@ def specific_losses(runs, count, window, shape, nodal, lost, specific):
 
 
 @kernel
+def clear_array(runs, count, shape, array):
+    """Zero a node array wherever an active cell has its low corner."""
+    ny, nx = shape
+    for r in range(count):
+        row = (runs[r, 0] * (ny + 1) + runs[r, 1]) * (nx + 1)
+        for n in range(row + runs[r, 2], row + runs[r, 3]):
+            array[n] = 0.0
+
+
+@kernel
+def sum_lost(runs, count, window, shape, weights, lost, full_mass, quantum):
+    """Return the kinetic energy in ``lost`` (half full nodes (m/s)^2) on the owned nodes in quanta (J), exactly.
+
+    ``weights`` as in :func:`kinetic_energy`; ``full_mass``: mass of a full node (kg).
+    """
+    ny, nx = shape
+    total, scale = np.int64(0), 0.5 * full_mass / quantum
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        plane = scale * weights[2][k] * weights[1][j]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+            total += np.int64(math.floor(plane * weights[0][i] * lost[row + i] + 0.5))
+    return total
+
+
+@kernel
 def apply_exchange(runs, count, window, shape, limit, cap, weights, density, dx, nodal, u, v, w, du, dv, dw, quantum,
                    mass_quantum, sums):
     """Add the exchange to the nodes, and cap the speed of light ones that still race.

@@ -73,6 +73,8 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float)
         model.mass_quantum * model.cell_mass, sums)
     for name, value in zip(("exchanged", "capped", "nodes_capped"), sums):
         ledger.add(name, value)
+    if state.lost.size > 1:
+        ledger.add("exchange_kept", sums[0])
     state.boundary.hold([state.views[n] for n in VELOCITY])
     state.exchange(VELOCITY)
     return speeds

@@ -16,17 +16,18 @@ ENERGY_TERMS = {
     "shock_viscosity": "work of the shock viscosity",
     "hourglass": "work of the hourglass control",
     "light_nodes": "kinetic energy taken from light nodes: exchange, mass floor, speed cap",
-    "remap_kinetic": "kinetic energy lost in the momentum remap",
+    "remap_kinetic": "kinetic energy lost in the momentum remap, summed node by node",
     "remap_elastic": "elastic energy lost in the stress remap and the closure",
+    "time_step": "work of the forces on the nodes less what the cells received: error of the explicit step",
     "through_faces": "kinetic energy that left through open faces",
     "remainder": "what no term explains",
     "heat": "heat from plastic work, shock viscosity and numerical losses (contained in those, no term of the balance)",
     "returned_heat": "share of that heat that comes from hourglass control, remap and light nodes",
 }
 
-_COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned",
-           "exchanged", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before", "elastic_after",
-           "through_faces", "mass_left", "mass_capped", "mass_painted", "nodes_capped")
+_COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned", "exchanged",
+           "exchange_kept", "lost", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before",
+           "elastic_after", "through_faces", "mass_left", "mass_capped", "mass_painted", "nodes_capped")
 
 
 class Ledger:
@@ -60,8 +61,7 @@ class Ledger:
         joule = self.energy_quantum
         power = joule / 2**40
         light = totals["exchanged"] + totals["capped"] + totals["withheld"]
-        remap_kinetic = (totals["brought_in"] + totals["kinetic_after"] - totals["kinetic_before"]
-                         - totals["exchanged"] - totals["capped"] - totals["through_faces"] - kinetic_now)
+        remap_kinetic = totals["lost"] - totals["exchange_kept"]
         remap_elastic = totals["elastic_after"] - totals["elastic_before"] - elastic_now
         terms = {
             "brought_in": totals["brought_in"] * joule,
@@ -75,6 +75,9 @@ class Ledger:
             "remap_elastic": remap_elastic * joule,
             "through_faces": totals["through_faces"] * joule,
         }
+        received = (totals["elastic_after"] - totals["elastic_before"] + totals["plastic_work"]
+                    + totals["shock_viscosity"])
+        terms["time_step"] = -(totals["work"] + received) * joule - terms["hourglass"]
         spent = sum(value for name, value in terms.items() if name != "brought_in")
         terms["remainder"] = terms["brought_in"] - spent
         terms["heat"] = totals["heat"] * joule

@@ -6,7 +6,7 @@ import numpy as np
 
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.grid.box import SIDES
-from f2s_hpc.kernels import flux, remap
+from f2s_hpc.kernels import flux, momentum, remap
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -15,14 +15,26 @@ SWEEP_ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2)
 
 
 def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
-    """Carry every field back onto the grid; the order of the three sweeps changes every step."""
+    """Carry every field back onto the grid; the order of the three sweeps changes every step.
+
+    The kinetic energy that the mixing of nodes takes is added to what light nodes lost in this step, and entered.
+    """
+    # where losses do not heat they are counted in an array that is free until the next forces
+    heats = state.lost.size > 1
+    lost = state.lost if heats else state.flat["force_x"]
+    runs, count = state.runs
+    if not heats:
+        momentum.clear_array(runs, count, state.part.cell_shape[1:], lost)
     done = 0
     for position, axis in enumerate(SWEEP_ORDERS[step % len(SWEEP_ORDERS)]):
         _fluxes(state, model, axis, done, ledger)
-        _sweep_nodes(state, model, axis)
+        _sweep_nodes(state, model, axis, lost)
         _sweep_cells(state, model, axis, done)
         done |= 1 << axis
         if position == 2:
+            ledger.add("lost", momentum.sum_lost(
+                runs, count, state.node_window(), state.part.cell_shape[1:], state.boundary.weights, lost,
+                model.cell_mass, model.energy_quantum))
             _close(state, model, ledger)
         state.boundary.hold([state.views[n] for n in VELOCITY])
         state.exchange(state.ghosted)
@@ -59,7 +71,7 @@ def _count_losses(state: State, model: Model, axis: int, ledger: Ledger) -> None
         ledger.add("through_faces", energy)
 
 
-def _sweep_nodes(state: State, model: Model, axis: int) -> None:
+def _sweep_nodes(state: State, model: Model, axis: int, lost: np.ndarray) -> None:
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     remap.nodal_masses(runs, count, state.node_window((3, 3, 3), (3, 3, 3)), shape, state.flat["mass"],
@@ -69,8 +81,6 @@ def _sweep_nodes(state: State, model: Model, axis: int) -> None:
     remap.dual_fluxes(runs, count, state.node_window(high=tuple(high)), shape, axis, state.flat["mass_flux"],
                       state.flat["dual_flux"])
     ny, nx = (n + 1 for n in shape)
-    # where losses do not heat they are counted in an array that is free until the next forces
-    lost = state.lost if state.lost.size > 1 else state.flat["force_x"]
     _sweep_fields(state, model, axis, state.node_window(), (nx * ny, nx), state.offsets(VELOCITY),
                   state.flat["nodal_mass"], state.flat["dual_flux"], lost)
 
