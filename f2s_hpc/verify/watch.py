@@ -97,6 +97,7 @@ class Watch:
     energy_scale: float | None = None
     limits: Counter = field(default_factory=Counter)
     substrate: int = 0
+    half_step: float = 0.0  # J, this rank: half of what the stresses stored and spent in the last step
     mass_drift: float = 0.0
     energy_rise: float = 0.0
     energy_excess: float = -np.inf
@@ -112,23 +113,32 @@ class Watch:
         self.substrate = measure.material_quanta(s.state, s.model) - painted
 
     def run(self, duration: float, interval: int) -> None:
-        """Step to ``duration`` (s, of this cycle), looking every ``interval`` steps. Raises Broken, UnstableStep."""
+        """Step to ``duration`` (s, of this cycle), looking every ``interval`` steps and after the last.
+
+        Raises ``Broken``, ``UnstableStep``. Collective.
+        """
         s, clock = self.setup, self.setup.clock
-        while clock.in_cycle < duration * (1.0 - 1e-12):
-            look = (clock.steps + 1) % interval == 0
-            before = self._spent() if look else 0.0
-            advance(s.state, s.model, clock, s.ledger, duration)
-            self.limits[clock.limit] += 1
-            if look:
-                self.look(0.5 * (self._spent() - before))
+        end = duration * (1.0 - 1e-12)
+        while clock.in_cycle < end:
+            self.step(duration)
+            if clock.steps % interval == 0 or clock.in_cycle >= end:
+                self.look(self.half_step)
             if clock.steps > MOST_STEPS:
                 raise Broken(f"not at the end after {MOST_STEPS} steps; the step is {clock.dt:.3g} s, limited by "
                              f"{clock.limit}")
 
+    def step(self, duration: float) -> None:
+        """Take one step towards ``duration`` (s, of this cycle)."""
+        s = self.setup
+        before = self._spent()
+        advance(s.state, s.model, s.clock, s.ledger, duration)
+        self.half_step = 0.5 * (self._spent() - before)
+        self.limits[s.clock.limit] += 1
+
     def look(self, half_step: float = 0.0) -> None:
         """Look at the present state.
 
-        ``half_step`` (J, this rank): half of what the stresses stored and spent in the last step. Collective.
+        ``half_step``: that of the watch after a step, 0 after material was put in. Collective.
         """
         self._look_at_fields()
         balance = self._look_at_mass()
@@ -229,7 +239,6 @@ def run_cycles(scene: Scene, plan: BatchPlan, watch: Watch, interval: int) -> No
         limits.heavy_speed = max(limits.heavy_speed, scene.particles.speed)
         watch.look()
         watch.run(duration, interval)
-        watch.look()
         setup.clock.cycle_start += duration
         setup.clock.in_cycle = 0.0
 
