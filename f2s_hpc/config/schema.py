@@ -203,6 +203,7 @@ class Numerics(Section):
     conduction: Switch = Field(default=True, description="heat conduction")
     remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
     largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
+    active_rows: Switch = Field(default=True, description="skip the rows without material; the results are the same")
     dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
 
 

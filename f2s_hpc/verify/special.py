@@ -34,11 +34,7 @@ def head_on(name: str, text: str, overrides: tuple[str, ...] = ()) -> Outcome:
     setup.clock.limits.heavy_speed = scene.particles.speed
     watch = Watch(setup, scene.particles.speed)
 
-    def task() -> None:
-        watch.look()
-        watch.run(scene.cycles.duration, 20)
-
-    return judge(name, watch, task)
+    return judge(name, watch, lambda: watch.run(scene.cycles.duration))
 
 
 def rest(name: str, text: str, full: bool, numerics: tuple[str, ...]) -> Iterator[Outcome]:
@@ -121,7 +117,7 @@ def _largest_stable(name: str, setting: str, text: str, overrides: tuple[str, ..
         setup, plan = prepare(scene)
         setup.model = setup.model._replace(settings=setup.model.settings._replace(**{setting: value}))
         watch = Watch(setup, scene.particles.speed)
-        outcome = judge(name, watch, partial(run_cycles, scene, plan, watch, 20))
+        outcome = judge(name, watch, partial(run_cycles, scene, plan, setup, watch.run))
         if outcome.verdict != STABLE:
             why = f"; {value:g} does not: {outcome.reason}"
             break
