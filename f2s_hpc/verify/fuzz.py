@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from f2s_hpc.config.schema import Numerics
 from f2s_hpc.grid.box import SIDES
 from f2s_hpc.materials import library
 from f2s_hpc.verify.watch import Outcome, run_scene
@@ -87,13 +88,21 @@ _NUMERICS = {
 }
 
 
+def _bounds(name: str) -> tuple[float, float]:
+    """Return the range of a setting: that of the table, cut by what the scene's check allows."""
+    low, high = _NUMERICS[name]
+    for bound in Numerics.model_fields[name].metadata:
+        low = max(low, getattr(bound, "ge", low))
+        high = min(high, getattr(bound, "le", high))
+    return low, high
+
+
 def _numerics(draw: np.random.Generator) -> list[str]:
     """Return settings of the scheme: half of the scenes keep the defaults, the rest change about a third of them."""
     lines = ["[numerics]"]
     if draw.random() < 0.5:
         return lines
-    lines += [f"{name} = {draw.uniform(low, high):.4f}" for name, (low, high) in _NUMERICS.items()
-              if draw.random() < 0.3]
+    lines += [f"{name} = {draw.uniform(*_bounds(name)):.4f}" for name in _NUMERICS if draw.random() < 0.3]
     switches = {"viscous_heating": "false", "conduction": "false", "remap_order": "1"}
     return lines + [f"{name} = {value}" for name, value in switches.items() if draw.random() < 0.2]
 

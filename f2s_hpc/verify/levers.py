@@ -46,8 +46,8 @@ class Saving:
     """What a lever saves and what it changes against the full computation, the same scene.
 
     ``time``, ``memory``: over those of the full computation. Changes of heights (m) and PEEQ are absolute, of
-    temperatures in K; None where nothing has landed. ``fraction_change``: sum of the changes of the volume fraction over
-    the sum of the volume fraction.
+    temperatures in K; None where nothing has landed. ``fraction_change``: sum over all cells of how much the volume
+    fraction changed, over the sum of the volume fraction.
     """
 
     lever: str

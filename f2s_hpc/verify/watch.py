@@ -61,8 +61,8 @@ class Outcome:
     """What became of a run.
 
     ``verdict``: stable, stopped (with a clear reason), refused (by the check of the scene), failed.
-    ``speed_ratio``: largest speed of heavy nodes over the impact speed; ``temperature_max``: K; ``mass_drift``: mass missing over mass put in;
-    ``energy_rise``: largest rise of the energy (see the module) over what was brought in.
+    ``speed_ratio``: largest speed of heavy nodes over the impact speed; ``temperature_max``: K; ``mass_drift``: mass
+    missing over mass put in; ``energy_rise``: largest rise of the energy (see the module) over what was brought in.
     """
 
     scene: str
