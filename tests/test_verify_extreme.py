@@ -56,9 +56,16 @@ def test_outflow_sides_bring_no_energy_in():
 
 @pytest.mark.xfail(strict=True, reason="cells store work that the mass floor withholds from light nodes")
 def test_mass_floor_brings_no_energy_in():
-    """Found by the fuzz (1-73): without the exchange nothing takes away what the floor of light nodes brings in."""
-    without = ("numerics.exchange_strength=0.0", "numerics.light_mass_floor=0.1")
-    outcome = watch.run_scene("no exchange", extreme.impact(cells=3, speed=200.0, temperature="25 degC"), without)
+    """Found by the fuzz with the default settings: spheres of one and two cells, mostly light nodes; 0.65 % too much."""
+    outcome, = fuzz.run(1, first=197)
+    assert outcome.verdict == watch.STABLE
+
+
+@pytest.mark.xfail(strict=True, reason="the ledger cuts what leaves through each face, in each step, to whole quanta")
+def test_mass_that_leaves_is_counted_to_1e_10():
+    """Found by the fuzz: 1700 steps of a slow outflow; fails as long as each face's flux is rounded towards zero."""
+    text = fuzz.scene_text(1, 245).replace('y_high = "outflow"', 'y_high = "free"')
+    outcome = watch.run_scene("slow outflow", text)
     assert outcome.verdict == watch.STABLE
 
 

@@ -43,7 +43,7 @@ ENERGY_BAR = 1e-3
 """Largest rise of the energy, over the energy that was brought in."""
 
 PEEQ_BAR = 1e-12
-"""Largest fall of the sum of PEEQ per look, over the sum: round-off."""
+"""Largest fall of the sum of PEEQ from look to look, over its largest value: round-off."""
 
 LEAST_PEEQ = -1e-12
 """The limited remap of a field that is zero next to one that is not rounds to either side of zero."""
@@ -100,7 +100,8 @@ class Watch:
     temperature_max: float = 0.0
     _energy: float = 0.0  # J, over what was brought in, at the last look
     _least_energy: float = 0.0
-    _peeq: float = 0.0
+    _peeq: float = 0.0  # sum over all material, at the last look
+    _most_peeq: float = 0.0
     _left: int = 0
 
     def __post_init__(self) -> None:
@@ -199,7 +200,8 @@ class Watch:
         totals = s.ledger.totals()
         left = totals["mass_left"] + totals["mass_capped"]
         carried = (left - self._left) * s.model.mass_quantum * self.peeq_max
-        if total < self._peeq * (1.0 - PEEQ_BAR) - carried:
+        self._most_peeq = max(self._most_peeq, total)
+        if total < self._peeq - carried - PEEQ_BAR * self._most_peeq:
             raise Broken(f"PEEQ: its sum fell by {(self._peeq - total) / self._peeq:.2e} {self._at()}")
         self._peeq, self._left = total, left
 
