@@ -56,7 +56,7 @@ def test_outflow_sides_bring_no_energy_in():
 
 @pytest.mark.xfail(strict=True, reason="cells store work that the mass floor withholds from light nodes")
 def test_mass_floor_brings_no_energy_in():
-    """Found by the fuzz with the default settings: spheres of one and two cells, mostly light nodes; 0.65 % too much."""
+    """Found by the fuzz with the default settings: spheres of one and two cells, mostly light nodes; 0.65 %."""
     outcome, = fuzz.run(1, first=197)
     assert outcome.verdict == watch.STABLE
 
