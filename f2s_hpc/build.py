@@ -54,7 +54,8 @@ def build_state(scene: Scene) -> State:
     """Return the empty, distributed state of a scene (collective)."""
     box = Box(scene.domain.cells, scene.domain.cell_size)
     sides = {side: getattr(scene.domain.faces, side) for side in SIDES}
-    return State(Decomposition(box), sides, scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    n = scene.numerics
+    return State(Decomposition(box), sides, scene.mie_grueneisen, n.loss_heating, scene.output.origin, n.active_rows)
 
 
 def build_ledger(model: Model) -> Ledger:

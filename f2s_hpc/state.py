@@ -16,12 +16,14 @@ class State:
     """All fields of this rank, with ghosts.
 
     ``views[name]``: local array [k, j, i] of a field; ``flat[name]``: the same memory as one row, as
-    kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps.
+    kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps. ``active_rows``: False
+    makes all rows active always, to measure what leaving them out saves.
     """
 
     def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
-                 loss_heating: bool = True, origin: bool = False) -> None:
+                 loss_heating: bool = True, origin: bool = False, active_rows: bool = True) -> None:
         self.decomposition = decomposition
+        self.active_rows = active_rows
         self.part: Part = decomposition.part
         self.fields = fields.needed(mie_grueneisen, loss_heating, origin)
         self.pool = Pool(decomposition, [f.name for f in self.fields])
@@ -68,10 +70,14 @@ class State:
     def update_activity(self) -> None:
         """Find the active blocks from the present mass; zero what has just fallen outside them."""
         nz, ny, nx = self.part.cell_shape
-        self._previous[:] = self.active
-        activity.mark_material(self.flat["mass"], (nz, ny, nx), GHOST, self.active, self._holds)
-        activity.grow_active(self._holds, self.active)
-        activity.retire(self._previous, self.active, (ny, nx), self.pool.memory, self.cell_offsets, self.node_offsets)
+        if self.active_rows:
+            self._previous[:] = self.active
+            activity.mark_material(self.flat["mass"], (nz, ny, nx), GHOST, self.active, self._holds)
+            activity.grow_active(self._holds, self.active)
+            activity.retire(self._previous, self.active, (ny, nx), self.pool.memory, self.cell_offsets,
+                            self.node_offsets)
+        else:
+            self.active[:] = 1
         self.run_count = activity.list_runs(self.active, nx, self._runs)
         if self.run_count > len(self._runs):
             self._runs = activity.empty_list(2 * self.run_count, 4)

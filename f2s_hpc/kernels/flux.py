@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from f2s_hpc._jit import inlined, kernel
@@ -161,6 +163,6 @@ def through_plane(mass_flux, plane, shape, lows, highs, axis, outward, u, v, w, 
             for component in (u, v, w):
                 mean = 0.25 * ((component[n] + component[n + p]) + (component[n + q] + component[n + p + q]))
                 square += mean * mean
-            mass += np.int64(left / mass_quantum)
-            energy += np.int64(0.5 * left * square / energy_quantum)
+            mass += np.int64(math.floor(left / mass_quantum + 0.5))
+            energy += np.int64(math.floor(0.5 * left * square / energy_quantum + 0.5))
     return mass, energy

@@ -88,9 +88,10 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
             v1 = (moves * v0 + kick * fy[n]) * hold_v * free[0, 1, i]
             w1 = (moves * w0 + kick * fz[n]) * hold_w * free[0, 2, i]
             # far ahead of a wave numbers fall without end; subnormal ones would be a hundred times slower
-            u1 = u1 if abs(u1) > SMALLEST_VELOCITY else 0.0
-            v1 = v1 if abs(v1) > SMALLEST_VELOCITY else 0.0
-            w1 = w1 if abs(w1) > SMALLEST_VELOCITY else 0.0
+            # (the test is true for a number only: what is not one must be seen)
+            u1 = 0.0 if abs(u1) <= SMALLEST_VELOCITY else u1
+            v1 = 0.0 if abs(v1) <= SMALLEST_VELOCITY else v1
+            w1 = 0.0 if abs(w1) <= SMALLEST_VELOCITY else w1
             u[n], v[n], w[n] = u1, v1, w1
             share = plane * weights[0][i]
             before = 0.5 * m * share * (u0 * u0 + v0 * v0 + w0 * w0)

@@ -8,6 +8,8 @@ nodes with the dual fluxes, the mean of the faces around (Benson 1992, half-inde
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from f2s_hpc._jit import inlined, kernel
@@ -307,7 +309,7 @@ def close_cells(runs, count, window, shape, dust, spall, full, eos_pressure, mas
                 fraction[c] = 1.0 if holds else x
             else:
                 if x != 0.0:
-                    sums[0] += np.int64(x / mass_quantum)
+                    sums[0] += np.int64(math.floor(x / mass_quantum + 0.5))
                 mass[c] = 0.0
                 fraction[c] = 0.0
                 for f in range(fields.size):

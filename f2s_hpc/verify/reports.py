@@ -1,0 +1,50 @@
+"""``f2s verify --extreme`` and ``--levers``: stability on stiff and extreme cases, and what leaving out saves."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pathlib
+from collections.abc import Sequence
+
+from f2s_hpc import mpi
+from f2s_hpc.verify import extreme, fuzz, levers, watch
+
+QUICK_FUZZ, FULL_FUZZ = 8, 300
+
+
+def _say(text: str) -> None:
+    if mpi.is_root():
+        print(text, flush=True)
+
+
+def _write(json_file: str | os.PathLike | None, rows: Sequence) -> None:
+    """Write rows of a dataclass as a JSON list; rank 0 only."""
+    if json_file is not None and mpi.is_root():
+        text = json.dumps([dataclasses.asdict(row) for row in rows], indent=2)
+        pathlib.Path(json_file).write_text(text + "\n", encoding="utf-8")
+    mpi.barrier()
+
+
+def stability(full: bool, overrides: Sequence[str], scenes: int | None, seed: int,
+              json_file: str | os.PathLike | None) -> int:
+    """Run the matrix of extreme scenes and the fuzz, print their verdicts; return 0 if none failed, else 1.
+
+    ``overrides``: "numerics.KEY=value" for every scene; ``scenes``: number of random scenes (default 300 at full
+    size, 8 otherwise); ``json_file``: where the outcomes go as well. Collective.
+    """
+    outcomes = extreme.run(full, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
+    count = (FULL_FUZZ if full else QUICK_FUZZ) if scenes is None else scenes
+    outcomes += fuzz.run(count, seed, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
+    _say("\n" + watch.table(outcomes))
+    _write(json_file, outcomes)
+    return 0 if all(outcome.passed for outcome in outcomes) else 1
+
+
+def savings(full: bool, overrides: Sequence[str], json_file: str | os.PathLike | None) -> int:
+    """Print what each lever saves and what it changes against the full computation; return 0. Collective."""
+    rows = levers.run(full, overrides)
+    _say(levers.table(rows))
+    _write(json_file, rows)
+    return 0

@@ -1,0 +1,293 @@
+"""Runs that are watched: what must hold in every run, looked at while it runs, and the verdict.
+
+Looked at every few steps and at the end:
+
+finite      every stored field is finite everywhere, and PEEQ is not negative beyond round-off
+mass        what was put in is in the box, has left through an open side, or was counted as capped (dust)
+energy      kinetic and elastic energy, plastic work, work of the shock viscosity and the kinetic energy that left
+            (with Mie-Grueneisen pressure: kinetic and internal energy and what left, since there heat does work too)
+            never rise: nothing but the painting of material brings energy in. Taken at the middle of a step, where
+            velocity is known, with half of what the stresses stored and spent in that step; a rise counts if it is
+            still there at the next look
+PEEQ        its sum over all material, weighted with mass, never falls by more than what left can have carried away
+            (the largest single value may fall: the remap mixes)
+ranks       all ranks end after the same step with the same outcome
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.build import build_ledger, build_model, build_state
+from f2s_hpc.config.load import parse_scene
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles import measure
+from f2s_hpc.cycles.insert import paint_batch, paint_substrate
+from f2s_hpc.errors import InputError, UnstableStep
+from f2s_hpc.particles.batch import BatchPlan, make_batches
+from f2s_hpc.solver.step import advance
+from f2s_hpc.verify.box import Setup
+from f2s_hpc.verify.case import Stopwatch
+
+STABLE, STOPPED, REFUSED, FAILED = "stable", "stopped", "refused", "failed"
+
+MASS_BAR = 1e-10
+"""Largest mass missing, over all that was put in."""
+
+ENERGY_BAR = 1e-3
+"""Largest rise of the energy, over the energy that was brought in."""
+
+PEEQ_BAR = 1e-12
+"""Largest fall of the sum of PEEQ from look to look, over its largest value: round-off."""
+
+LEAST_PEEQ = -1e-12
+"""The limited remap of a field that is zero next to one that is not rounds to either side of zero."""
+
+MOST_STEPS = 200_000
+"""A run that takes more steps than this has failed."""
+
+
+class Broken(Exception):
+    """Something that must hold does not; the text says what, and at which step."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    ``verdict``: stable, stopped (with a clear reason), refused (by the check of the scene), failed.
+    ``speed_ratio``: largest speed of heavy nodes over the impact speed; ``temperature_max``: K; ``mass_drift``: mass
+    missing over mass put in; ``energy_rise``: largest rise of the energy (see the module) over what was brought in.
+    """
+
+    scene: str
+    verdict: str
+    reason: str = ""
+    steps: int = 0
+    limit: str = ""
+    speed_ratio: float = 0.0
+    peeq_max: float = 0.0
+    temperature_max: float = 0.0
+    mass_drift: float = 0.0
+    energy_rise: float = 0.0
+    nodes_capped: int = 0
+    cell_steps: int = 0
+    wall_s: float = 0.0
+
+    @property
+    def passed(self) -> bool:
+        """A run may end, stop with a clear reason or be refused; anything else is a failure."""
+        return self.verdict != FAILED
+
+
+@dataclass
+class Watch:
+    """Looks at a run; ``speed``: that of the particles (m/s)."""
+
+    setup: Setup
+    speed: float
+    limits: Counter = field(default_factory=Counter)
+    substrate: int = 0
+    half_step: float = 0.0  # J, this rank: half of what the stresses stored and spent in the last step
+    mass_drift: float = 0.0
+    energy_rise: float = 0.0
+    peeq_max: float = 0.0
+    temperature_max: float = 0.0
+    _energy: float = 0.0  # J, over what was brought in, at the last look
+    _least_energy: float = 0.0
+    _peeq: float = 0.0  # sum over all material, at the last look
+    _most_peeq: float = 0.0
+    _left: int = 0
+
+    def __post_init__(self) -> None:
+        s = self.setup
+        painted = s.ledger.totals()["mass_painted"]
+        self.substrate = measure.material_quanta(s.state, s.model) - painted
+
+    def run(self, duration: float, interval: int = 20) -> None:
+        """Step to ``duration`` (s, of this cycle), looking before, every ``interval`` steps and after the last.
+
+        Raises ``Broken``, ``UnstableStep``. Collective.
+        """
+        self.look()
+        clock = self.setup.clock
+        end = duration * (1.0 - 1e-12)
+        while clock.in_cycle < end:
+            self.step(duration)
+            if clock.steps % interval == 0 or clock.in_cycle >= end:
+                self.look(self.half_step, clock.in_cycle >= end)
+            if clock.steps > MOST_STEPS:
+                raise Broken(f"not at the end after {MOST_STEPS} steps; the step is {clock.dt:.3g} s, limited by "
+                             f"{clock.limit}")
+
+    def step(self, duration: float) -> None:
+        """Take one step towards ``duration`` (s, of this cycle)."""
+        s = self.setup
+        before = self._spent()
+        advance(s.state, s.model, s.clock, s.ledger, duration)
+        self.half_step = 0.5 * (self._spent() - before)
+        self.limits[s.clock.limit] += 1
+
+    def look(self, half_step: float = 0.0, last: bool = False) -> None:
+        """Look at the present state.
+
+        ``half_step``: that of the watch after a step, 0 after material was put in; ``last``: the run ends here.
+        Collective; raises ``Broken``.
+        """
+        self._look_at_fields()
+        balance = self._look_at_mass()
+        self._look_at_energy(balance, half_step, last)
+        self._look_at_peeq()
+
+    def _at(self) -> str:
+        clock = self.setup.clock
+        return f"at step {clock.steps}, {clock.time * 1e9:.2f} ns"
+
+    def _look_at_fields(self) -> None:
+        state = self.setup.state
+        wrong = [n for n in state.saved if not np.isfinite(state.owned(n)).all()]
+        wrong += ["peeq below 0"] if (state.owned("peeq") < LEAST_PEEQ).any() else []
+        wrong = sorted({name for names in mpi.all_gather(wrong) for name in names})
+        if wrong:
+            raise Broken(f"not finite or not possible {self._at()}: {', '.join(wrong)}")
+        solid = state.owned("volume_fraction") > 0.0
+        for name, attribute in (("peeq", "peeq_max"), ("temperature", "temperature_max")):
+            here = state.owned(name)[solid].max() if solid.any() else 0.0
+            setattr(self, attribute, max(getattr(self, attribute), float(mpi.maximum(here))))
+
+    def _look_at_mass(self) -> dict:
+        s = self.setup
+        balance = measure.measure_balance(s.state, s.model, s.ledger, self.substrate)
+        painted = s.ledger.totals()["mass_painted"]
+        missing = balance["mass_drift_relative"] * painted
+        self.mass_drift = max(self.mass_drift, abs(missing) / (painted + self.substrate), key=abs)
+        if self.mass_drift > MASS_BAR:
+            raise Broken(f"mass: {self.mass_drift:.2e} of it is missing {self._at()}")
+        return balance
+
+    def _spent(self) -> float:
+        """Return what the stresses stored and spent so far on this rank (J, up to a constant)."""
+        s = self.setup
+        if s.state.energy.size > 1:
+            inner = s.state.owned("mass") * s.state.owned("internal_energy")
+            return float(inner.sum()) * s.model.cell_mass
+        counts = s.ledger.counts
+        return (counts["elastic_after"] - counts["elastic_before"] + counts["plastic_work"]) * s.model.energy_quantum
+
+    def _look_at_energy(self, balance: dict, half_step: float, last: bool) -> None:
+        s, energy = self.setup, balance["energy"]
+        held = energy["kinetic"] + energy["through_faces"] - sum(mpi.all_gather(half_step))
+        if s.state.energy.size > 1:
+            held += sum(mpi.all_gather(self._spent()))
+        else:
+            held += energy["elastic"] + energy["plastic_work"] + energy["shock_viscosity"]
+        over, scale = held - energy["brought_in"], energy["brought_in"] or 1.0
+        # in the first step of a contact the strain of a whole step faces a velocity that felt nothing yet
+        lasting = over if last else min(over, self._energy)
+        self.energy_rise = max(self.energy_rise, (lasting - self._least_energy) / scale)
+        self._least_energy, self._energy = min(self._least_energy, over), over
+        if not self.energy_rise <= ENERGY_BAR:
+            raise Broken(f"energy: it rose by {100 * self.energy_rise:.2f} % of what was brought in {self._at()}")
+
+    def _look_at_peeq(self) -> None:
+        s = self.setup
+        total = sum(mpi.all_gather(float((s.state.owned("mass") * s.state.owned("peeq")).sum())))
+        totals = s.ledger.totals()
+        left = totals["mass_left"] + totals["mass_capped"]
+        carried = (left - self._left) * s.model.mass_quantum * self.peeq_max
+        self._most_peeq = max(self._most_peeq, total)
+        if total < self._peeq - carried - PEEQ_BAR * self._most_peeq:
+            raise Broken(f"PEEQ: its sum fell by {(self._peeq - total) / self._peeq:.2e} {self._at()}")
+        self._peeq, self._left = total, left
+
+    def outcome(self, scene: str, verdict: str, reason: str, wall: float) -> Outcome:
+        """Return what became of the run so far. Collective, unless this rank is alone."""
+        clock = self.setup.clock
+        return Outcome(
+            scene, verdict, reason, clock.steps, self.limits.most_common(1)[0][0] if self.limits else "",
+            float(mpi.maximum(clock.fastest_heavy)) / self.speed if self.speed else 0.0, self.peeq_max,
+            self.temperature_max, self.mass_drift, self.energy_rise,
+            int(mpi.total(np.int64(self.setup.ledger.counts["nodes_capped"]))),
+            int(mpi.total(np.int64(clock.active_cell_steps))), float(mpi.broadcast(wall)))
+
+
+def prepare(scene: Scene) -> tuple[Setup, BatchPlan]:
+    """Return the box of a scene with its substrate, and its batches. Collective; raises ``InputError``."""
+    plan = mpi.run_together(make_batches, scene)
+    model = build_model(scene)
+    setup = Setup(build_state(scene), model, build_ledger(model))
+    paint_substrate(setup.state, scene.domain.substrate_height, scene.substrate.temperature)
+    return setup, plan
+
+
+def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float], None]) -> None:
+    """Run all cycles of a scene as :class:`f2s_hpc.cycles.simulation.Simulation` does, without files.
+
+    ``run``: called with the duration of each cycle (s) after its batch was put in.
+    """
+    for cycle, duration in enumerate(scene.cycles.durations):
+        batch = plan.batches[plan.order[cycle]]
+        setup.report = paint_batch(setup.state, setup.model, batch, scene.domain.layer_bottom,
+                                   scene.particles.velocity, scene.particles.temperature, setup.ledger,
+                                   scene.batches.seed * 1000003 + cycle)
+        limits = setup.clock.limits
+        limits.heavy_speed = max(limits.heavy_speed, scene.particles.speed)
+        run(duration)
+        setup.clock.cycle_start += duration
+        setup.clock.in_cycle = 0.0
+
+
+def judge(name: str, watch: Watch, task: Callable[[], None]) -> Outcome:
+    """Run ``task()`` under ``watch`` and return the outcome.
+
+    On one rank any exception is an outcome, since a solver that raises it has failed. On several ranks only those that
+    all ranks raise together are: a rank alone with an error ends the whole job through the abort hook.
+    """
+    stopwatch, verdict, reason = Stopwatch(), STABLE, ""
+    try:
+        task()
+    except UnstableStep as error:
+        verdict, reason = STOPPED, str(error)
+    except Broken as error:
+        verdict, reason = FAILED, str(error)
+    except (ArithmeticError, LookupError, ValueError, TypeError) as error:
+        if mpi.size() > 1:
+            raise
+        verdict, reason = FAILED, f"{type(error).__name__}: {error}"
+    ends = mpi.all_gather((verdict, reason, watch.setup.clock.steps, watch.setup.clock.dt))
+    if len(set(ends)) > 1:
+        verdict, reason = FAILED, f"the ranks ended differently: {ends}"
+    return watch.outcome(name, verdict, reason, stopwatch.read())
+
+
+def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int = 20) -> Outcome:
+    """Run the scene written in ``text`` (TOML) with ``overrides`` ("key.path=value") to its end. Collective."""
+    try:
+        scene = parse_scene(text, name, overrides)
+        setup, plan = prepare(scene)
+    except InputError as error:
+        return Outcome(name, REFUSED, str(error))
+    watch = Watch(setup, scene.particles.speed)
+    return judge(name, watch, lambda: run_cycles(scene, plan, setup, lambda end: watch.run(end, interval)))
+
+
+COLUMNS = (
+    ("scene", "scene", "{}"), ("verdict", "verdict", "{}"), ("steps", "steps", "{}"), ("limit", "dt limit", "{}"),
+    ("speed_ratio", "v/v0", "{:.2f}"), ("peeq_max", "PEEQ", "{:.3g}"), ("temperature_max", "T max K", "{:.0f}"),
+    ("mass_drift", "mass", "{:.1e}"), ("energy_rise", "E rise", "{:.1e}"), ("nodes_capped", "capped", "{}"),
+    ("wall_s", "wall s", "{:.1f}"), ("reason", "reason", "{}"))
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Return the outcomes as a table, with the number of each verdict below."""
+    lines = [[head for _, head, _ in COLUMNS]]
+    lines += [[form.format(getattr(o, name)) for name, _, form in COLUMNS] for o in outcomes]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    rows = ["  ".join(text.ljust(width) for text, width in zip(line, widths)).rstrip() for line in lines]
+    counts = Counter(o.verdict for o in outcomes)
+    return "\n".join([*rows, ", ".join(f"{n} {verdict}" for verdict, n in counts.items())])

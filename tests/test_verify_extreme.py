@@ -1,0 +1,270 @@
+"""Stability: the quick matrix of extreme scenes, a short fuzz, the levers; and that the watch sees what is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from f2s_hpc import mpi
+from f2s_hpc.config.load import load_scene, parse_scene
+from f2s_hpc.config.schema import Numerics
+from f2s_hpc.errors import InputError
+from f2s_hpc.verify import extreme, fuzz, levers, special, watch
+from f2s_hpc.verify.box import make_model, make_setup
+
+QUICK = [e for e in extreme.matrix() if e.quick]
+BY_NAME = {e.name: e for e in extreme.matrix()}
+SPHERE = [(5.0, 5.0, 7.2, 2.0)]
+
+
+def moving_sphere():
+    """Return a sphere of four cells above three cells of substrate, and a watch on it."""
+    setup = make_setup((10, 10, 12), make_model(3e-6), SPHERE, (0.0, 0.0, -600.0), substrate=3.0)
+    setup.clock.limits.heavy_speed = 600.0
+    return setup, watch.Watch(setup, 600.0)
+
+
+# --- the scenes ----------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("scene", QUICK, ids=lambda e: e.name)
+def test_quick_matrix_is_stable(scene):
+    """Fails without the light-node exchange or the limit of the conduction step (LARGEST_NUMBER = 2)."""
+    outcome = scene.run(scene.name, scene.text, scene.overrides)
+    assert outcome.verdict == watch.STABLE or (
+        "one cell" in scene.name and outcome.verdict == watch.REFUSED), outcome.reason
+    if outcome.verdict == watch.STABLE:
+        assert outcome.steps > 50
+        assert outcome.mass_drift <= watch.MASS_BAR
+        assert outcome.energy_rise <= watch.ENERGY_BAR
+        assert outcome.speed_ratio < 1.3
+
+
+def test_impact_scenes_are_impacts():
+    """The scene everything varies deforms its sphere; fails when the sphere misses or is not painted."""
+    outcome = watch.run_scene("impact", extreme.impact())
+    assert outcome.peeq_max > 0.5
+    assert outcome.temperature_max > 750.0
+    assert 0.9 < outcome.speed_ratio < 1.2
+
+
+def test_outflow_sides_bring_no_energy_in():
+    """Fails if an outflow side copies the last layer outwards: ``COPY`` for its cells in ``grid/boundary.py``."""
+    scene = BY_NAME["all sides open"]
+    assert scene.run(scene.name, scene.text, scene.overrides).verdict == watch.STABLE
+
+
+def test_mass_floor_brings_no_energy_in():
+    """Found by the fuzz: spheres of one and two cells, mostly light nodes; fails with a default floor of 0.05 (0.65 %)."""
+    outcome, = fuzz.run(1, first=197)
+    assert outcome.verdict == watch.STABLE
+
+
+def test_mass_that_leaves_is_counted_to_1e_10():
+    """Found by the fuzz: 1700 steps of a slow outflow; fails if ``flux.through_plane`` rounds towards zero."""
+    text = fuzz.scene_text(1, 245).replace('y_high = "outflow"', 'y_high = "free"')
+    outcome = watch.run_scene("slow outflow", text)
+    assert outcome.verdict == watch.STABLE
+
+
+def test_long_rest_is_rest():
+    """Fails when the force of a cell at rest is not exactly zero, or when a step feeds on noise (hourglass = -0.1)."""
+    outcomes = list(special.rest("at rest", extreme.impact(), False, ()))
+    assert [o.verdict for o in outcomes] == [watch.STABLE] * 2, [o.reason for o in outcomes]
+    assert all(o.steps == 3000 for o in outcomes)
+    assert outcomes[0].speed_ratio == 0.0
+
+
+def test_courant_numbers_hold_beyond_their_defaults():
+    """The defaults 0.5 and 0.25 have room up to 0.8 and 0.45; fails when the sound speed lacks the shear stiffness."""
+    sound, = special.courant("courant", extreme.impact(), False, ())
+    crossed, = special.remap_courant("crossed", extreme.impact(), False, ())
+    assert sound.verdict == crossed.verdict == watch.STABLE
+    assert sound.reason == "courant up to 0.8 holds (default 0.5)"
+    assert crossed.reason == "remap_courant up to 0.45 holds (default 0.25)"
+
+
+def test_a_step_beyond_the_limit_is_found_unstable(monkeypatch):
+    """1.3 times the crossing time of sound does not hold, and the report names it; fails when nothing is watched."""
+    monkeypatch.setitem(special._COURANT, False, (0.5, 1.3))
+    outcome, = special.courant("courant", extreme.impact(), False, ())
+    assert outcome.reason.startswith("courant up to 0.5 holds (default 0.5); 1.3 does not: ")
+
+
+@pytest.mark.parametrize("setting", ["exchange_strength=0.16", "light_mass_floor=0.15"])
+def test_settings_that_bring_energy_in_are_refused(setting):
+    """Found by the fuzz: six neighbours' exchange beyond 1/6 overshoots; fails when the schema's bounds are wider."""
+    with pytest.raises(InputError, match=setting.partition("=")[0]):
+        parse_scene(extreme.impact(), "scene", [f"numerics.{setting}"])
+
+
+# --- what the watch sees -------------------------------------------------------------------------------------------
+
+@pytest.mark.mpi
+def test_watch_passes_a_sound_run():
+    """The base of the tests below: nothing is wrong with this run."""
+    setup, eye = moving_sphere()
+    outcome = watch.judge("sound", eye, lambda: eye.run(10e-9, 5))
+    assert outcome.verdict == watch.STABLE
+    assert outcome.steps == setup.clock.steps > 10
+    assert outcome.speed_ratio == pytest.approx(1.0, abs=0.2)
+
+
+def spoil_mass(state):
+    state.views["mass"][...] *= 1.0 - 1e-9
+
+
+def spoil_energy(state):
+    for name in ("velocity_x", "velocity_y", "velocity_z"):
+        state.views[name][...] *= 1.01
+
+
+def spoil_peeq(state):
+    state.views["peeq"][...] *= 1.0 - 1e-9
+
+
+def spoil_sign(state):
+    state.views["peeq"][...] -= 1e-9
+
+
+def spoil_temperature(state):
+    state.views["temperature"][...] = np.inf
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("spoil", "reason"), [
+    (spoil_mass, "mass: 1.00e-09 of it is missing at step"), (spoil_energy, "energy: it rose by"),
+    (spoil_peeq, "PEEQ: its sum fell by 1.00e-09 at step"), (spoil_sign, "peeq below 0"),
+    (spoil_temperature, "not finite or not possible at step")])
+def test_watch_sees_what_is_wrong(spoil, reason):
+    """Each quantity is spoilt by a little in the middle of a run; fails when its bar is widened a hundred times."""
+    setup, eye = moving_sphere()
+
+    def task():
+        eye.run(20e-9, 5)
+        spoil(setup.state)
+        eye.look()
+        eye.look()
+
+    outcome = watch.judge("spoilt", eye, task)
+    assert outcome.verdict == watch.FAILED
+    assert reason in outcome.reason
+    assert not outcome.passed
+
+
+def stopped_by(velocity):
+    """Return the outcome of a run in which the nodes inside the sphere are given ``velocity`` on the way."""
+    setup, eye = moving_sphere()
+
+    def task():
+        eye.run(2e-9, 5)
+        state = setup.state
+        state.views["velocity_z"][state.views["nodal_mass"] > 0.9] = velocity
+        setup.advance_to(20e-9)
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        return watch.judge("spoilt", eye, task)
+
+
+@pytest.mark.mpi
+def test_unstable_step_counts_as_stopped():
+    """A velocity that is infinite ends the run with the cell named; fails when UnstableStep is not caught."""
+    outcome = stopped_by(np.inf)
+    assert outcome.verdict == watch.STOPPED
+    assert "is not finite at cell (i, j, k) = (" in outcome.reason
+    assert outcome.passed
+
+
+@pytest.mark.mpi
+def test_velocity_that_is_not_a_number_is_not_taken_for_rest():
+    """Fails if the flush of tiny velocities asks abs(u) > smallest, which a NaN is not."""
+    assert stopped_by(np.nan).verdict == watch.STOPPED
+
+
+def test_an_exception_of_the_solver_is_a_failure():
+    """A run that raises anything but UnstableStep has failed; fails when such errors are taken for a clear stop."""
+    _, eye = moving_sphere()
+
+    def task():
+        raise OverflowError("too large")
+
+    outcome = watch.judge("broken", eye, task)
+    assert (outcome.verdict, outcome.reason) == (watch.FAILED, "OverflowError: too large")
+
+
+def test_refused_scene_is_told_with_its_line():
+    """What the check of a scene refuses is no run; fails when InputError leaves run_scene."""
+    outcome = watch.run_scene("wrong", extreme.impact(), ["numerics.courant=1.5"])
+    assert outcome.verdict == watch.REFUSED
+    assert "numerics.courant" in outcome.reason
+
+
+def test_table_shows_every_outcome_and_the_counts():
+    """Fails when a row or the last line is left out."""
+    outcomes = [watch.Outcome("a", watch.STABLE, steps=7), watch.Outcome("b", watch.FAILED, "it broke")]
+    head, first, second, last = watch.table(outcomes).splitlines()
+    assert head.split()[:3] == ["scene", "verdict", "steps"]
+    assert first.split()[:3] == ["a", "stable", "7"]
+    assert second.endswith("it broke")
+    assert last == "1 stable, 1 failed"
+
+
+# --- fuzz ----------------------------------------------------------------------------------------------------------
+
+def test_fuzz_has_no_failure():
+    """Ten random scenes; fails with light_mass_floor up to 0.9, as scenes allowed before the fuzz (scene 0)."""
+    outcomes = fuzz.run(10)
+    assert [o.scene for o in outcomes] == [f"fuzz 1-{i}" for i in range(10)]
+    assert [o.reason for o in outcomes if not o.passed] == []
+    assert sum(o.verdict == watch.STABLE for o in outcomes) >= 7
+
+
+@pytest.mark.mpi
+def test_fuzz_on_ranks_is_the_same():
+    """A scene runs alike on every rank; fails when an outcome holds a number of one rank only."""
+    outcomes = fuzz.run(1, first=2)
+    seen = mpi.all_gather([(o.scene, o.verdict, o.steps, o.peeq_max, o.temperature_max, o.wall_s) for o in outcomes])
+    assert all(row == seen[0] for row in seen)
+    assert outcomes[0].verdict == watch.STABLE
+
+
+def test_fuzz_scenes_come_from_their_seed():
+    """Same seed and number, same text; others differ; all stay in the ranges; fails with an unseeded generator."""
+    texts = [fuzz.scene_text(1, i) for i in range(60)]
+    assert texts == [fuzz.scene_text(1, i) for i in range(60)]
+    assert len(set(texts)) == 60
+    assert fuzz.scene_text(2, 0) != texts[0]
+    for name in fuzz._NUMERICS:
+        low, high = fuzz._bounds(name)
+        assert low < high
+        assert low <= Numerics.model_fields[name].default <= high
+    refusals = []
+    for text in texts:
+        try:
+            parse_scene(text, "fuzz")
+        except InputError as error:
+            refusals.append(str(error))
+    assert not [line for line in refusals if "temperature" not in line]
+
+
+# --- levers --------------------------------------------------------------------------------------------------------
+
+def test_levers_save_and_change_what_they_should():
+    """Fails when numerics.active_rows or numerics.conduction has no effect, or the settings of a lever are not used."""
+    rows = {row.lever: row for row in levers.run()}
+    assert list(rows) == ["everything", *(lever.name for lever in levers.LEVERS), "all levers"]
+    whole, active, cold = rows["everything"], rows["active rows"], rows["no conduction"]
+    assert active.cell_steps < 0.8 * whole.cell_steps
+    assert active.fraction_change == active.height_mean_m == active.peeq_p50 == active.temperature_p50 == 0.0
+    assert cold.temperature_p95 > 10.0
+    assert 0.0 < cold.fraction_change < 0.02
+    assert 0.0 < rows["remap of order 1"].fraction_change < 0.05
+    assert abs(rows["remap of order 1"].peeq_p95) > 0.01
+    assert all(row.wall_s > 0.0 and row.steps > 100 for row in rows.values())
+    assert len(levers.table(list(rows.values())).splitlines()) == len(rows) + 1
+
+
+def test_levers_full_scene_loads():
+    """The full size is the scene quickstart with every lever's settings; fails when a lever names a key that is not."""
+    for lever in levers.LEVERS:
+        saving, full = (load_scene(levers.SCENE, settings) for settings in (lever.saving, lever.full))
+        assert saving != full
