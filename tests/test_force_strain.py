@@ -24,7 +24,7 @@ def forces(setup):
     """Return the forces (N) on the owned nodes as three arrays, and the power of hourglass control in quanta."""
     power = np.zeros(1, dtype=np.int64)
     setup.activate()
-    lagrange.forces(setup.state, setup.model, power)
+    lagrange.forces(setup.state, setup.model, 0.0, power)
     return [setup.state.owned(name).copy() for name in FORCE], power
 
 

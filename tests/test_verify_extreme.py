@@ -54,7 +54,7 @@ def test_outflow_sides_bring_no_energy_in():
 
 
 def test_mass_floor_brings_no_energy_in():
-    """Found by the fuzz: spheres of one and two cells, mostly light nodes; fails with a default floor of 0.05 (0.65 %)."""
+    """Found by the fuzz: spheres of one and two cells, mostly light nodes; fails with a default floor of 0.05."""
     outcome, = fuzz.run(1, first=197)
     assert outcome.verdict == watch.STABLE
 

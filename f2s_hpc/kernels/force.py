@@ -39,7 +39,7 @@ def _divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, s):
 
 
 @kernel
-def _pressure(mass, fraction, energy, dx, bulk, eos, viscosity, hourglass, s):
+def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourglass, s):
     """Pressure plus shock viscosity, hourglass coefficient, viscous pressure and wave speed of a chunk of cells."""
     linear, quadratic = viscosity
     shear = 4.0 / 3.0 * bulk.shear_modulus
@@ -51,7 +51,9 @@ def _pressure(mass, fraction, energy, dx, bulk, eos, viscosity, hourglass, s):
         p = full * pressure(eos, compression, e)
         density = bulk.density * compression
         sound = math.sqrt((stiffness(eos, compression, e) + shear) / density)
-        closing = full * min(s[RATE * W + i], 0.0)
+        # a cell that is to close within the step is in the shock of the impact already
+        shut = 1.0 if x > 1.0 + last_dt * s[RATE * W + i] else full
+        closing = max(full, shut) * min(s[RATE * W + i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening
         s[TOTAL * W + i] = p + q
@@ -121,8 +123,8 @@ def _add_corners(f, left, right, s):
 
 
 @kernel
-def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, hourglass, mass, fraction, energy,
-                 stress, u, v, w, fx, fy, fz, shock, hourglass_power, closing, power_quantum, sums):
+def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, viscosity, hourglass, mass, fraction,
+                 energy, stress, u, v, w, fx, fy, fz, shock, hourglass_power, closing, power_quantum, sums):
     """Add every active cell's forces (N) to its nodes; ``fx``, ``fy``, ``fz`` must be zero before.
 
     Parameters
@@ -130,8 +132,9 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
     runs, count : runs (k, j, first, end) of active cells on the local grid.
     window, owned : (k0, k1, j0, j1, i0, i1) of the cells to visit, and of those that count in sums.
     shape : (ny, nx) of a local cell array; node arrays have one row and one column more.
+    last_dt : the last time step (s): tells which cells are about to close.
     viscosity : (linear, quadratic) coefficients of the shock viscosity
-        q = rho dx |div v| (c_1 c + c_2^2 dx |div v|), in full cells under compression only
+        q = rho dx |div v| (c_1 c + c_2^2 dx |div v|), under compression, in full cells and those about to close
         (von Neumann and Richtmyer 1950; Landshoff 1955).
     hourglass : share of an hourglass mode removed per sound crossing of a cell (viscous form,
         Flanagan and Belytschko 1981).
@@ -163,8 +166,8 @@ def nodal_forces(runs, count, window, owned, shape, dx, bulk, eos, viscosity, ho
                         v[d:d + m], w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, s)
             f = fraction[cell:cell + n]
             e = energy[cell:cell + n] if energy.size > 1 else nothing[:n]
-            _pressure(mass[cell:cell + n], f, e, dx, bulk, eos, viscosity, hourglass, s)
-            surface_pressure(mass, f, stress, cell, shape, TOTAL, s)
+            _pressure(mass[cell:cell + n], f, e, dx, last_dt, bulk, eos, viscosity, hourglass, s)
+            surface_pressure(mass, f, stress, cell, shape, TOTAL, SHOCK, s)
             _weigh(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
                    stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
             for axis in range(3):

@@ -42,10 +42,11 @@ def surface_normal(mass, n, row, plane):
 
 
 @kernel
-def surface_pressure(mass, fraction, stress, cell, shape, row_of_pressure, s):
-    """Put the pressure of zero normal traction (Pa) into the mixed cells of a chunk of scratch row ``row_of_pressure``.
+def surface_pressure(mass, fraction, stress, cell, shape, row_of_pressure, row_of_shock, s):
+    """Put the pressure of zero normal traction (Pa), plus the viscous one, into the mixed cells of a scratch row.
 
-    ``mass``: whole flat array, ``fraction``: of the chunk that starts at ``cell``; ``shape``: (ny, nx) of a cell array.
+    ``mass``: whole flat array, ``fraction``: of the chunk that starts at ``cell``; ``shape``: (ny, nx) of a cell array;
+    ``row_of_pressure``, ``row_of_shock``: scratch rows.
     """
     row, plane = shape[1], shape[0] * shape[1]
     for i in range(fraction.size):
@@ -54,7 +55,7 @@ def surface_pressure(mass, fraction, stress, cell, shape, row_of_pressure, s):
             nx, ny, nz, clear = surface_normal(mass, n, row, plane)
             normal = (nx * nx * stress[0][n] + ny * ny * stress[1][n]) + nz * nz * stress[2][n]
             shear = (nx * ny * stress[3][n] + ny * nz * stress[4][n]) + nx * nz * stress[5][n]
-            s[row_of_pressure * W + i] = clear * (normal + 2.0 * shear)
+            s[row_of_pressure * W + i] = clear * (normal + 2.0 * shear) + s[row_of_shock * W + i]
 
 
 @kernel

@@ -156,7 +156,7 @@ def _close_chunk(mass, fraction, energy, shock, closing, dt, bulk, eos, s):
         jacobian = 1.0 + dt * rate
         s[VOLUME * W + i] = jacobian
         s[AFTER * W + i] = closure(mass[i], fraction[i], jacobian, energy[i], eos, bulk.spall_pressure)
-        s[VISCOUS * W + i] = -0.5 * dt * shock[i] * (closing[i] + rate)
+        s[VISCOUS * W + i] = -0.5 * dt * fraction[i] * shock[i] * (closing[i] + rate)
 
 
 @kernel
@@ -180,8 +180,10 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
         jacobian, after = s[VOLUME * W + i], s[AFTER * W + i]
         p_old = pressure(eos, x, e) if fraction[i] >= 1.0 else 0.0
         p_new = pressure(eos, x / jacobian, e) if after >= 1.0 else 0.0
+        # while there is void the volume changes at no pressure: it closes, or opens, at volume x
+        swept = (jacobian if after >= 1.0 else x) - (1.0 if fraction[i] >= 1.0 else x)
         lost = s[RETURNED * W + i] / max(bulk.taylor_quinney, 1e-300)
-        work = dt * power * after * jacobian + s[VISCOUS * W + i] - 0.5 * (p_old + p_new) * (jacobian - 1.0) + lost
+        work = dt * power * after * jacobian + s[VISCOUS * W + i] - 0.5 * (p_old + p_new) * swept + lost
         energy[i] = e + work / (x * bulk.density)
 
 

@@ -14,12 +14,13 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 
-def forces(state: State, model: Model, ledger_power: np.ndarray) -> tuple[float, int]:
+def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray) -> tuple[float, int]:
     """Sum the cells' forces on the owned nodes.
 
     Reads mass, volume fraction, stress (ghosts valid) and the velocity of the last step; writes the
     nodal masses and forces, and, into the arrays of the sweeps, what will be heat: viscous pressure and hourglass
-    power of the cells, lost energy of the nodes. ``ledger_power`` int64[1] receives the power of hourglass control.
+    power of the cells, lost energy of the nodes. ``last_dt``: the last step (s). ``ledger_power`` int64[1] receives the
+    power of hourglass control.
     Returns the largest effective wave speed (m/s) and the flat index of its cell.
     """
     runs, count = state.runs
@@ -32,7 +33,7 @@ def forces(state: State, model: Model, ledger_power: np.ndarray) -> tuple[float,
                                  state.lost, state.sweep[2])
     s = model.settings
     return force.nodal_forces(
-        runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, model.bulk,
+        runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, last_dt, model.bulk,
         model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
         state.stress, *state.velocity, *state.force, *state.sweep[:2], state.flat["mass_flux"],
         model.energy_quantum * 1e9, ledger_power)

@@ -46,7 +46,7 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     clock.active_cell_steps += state.active_cells()
     power = np.zeros(1, dtype=np.int64)
     limits = clock.limits
-    limits.wave, limits.wave_cell = lagrange.forces(state, model, power)
+    limits.wave, limits.wave_cell = lagrange.forces(state, model, clock.dt or 0.0, power)
     size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle)
     _refuse_collapse(state, model, size, limits)
     dt, clock.stop = size.dt, bool(size.rates[4])
