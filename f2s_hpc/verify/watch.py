@@ -6,9 +6,10 @@ finite      every stored field is finite everywhere, and PEEQ is not negative be
 mass        what was put in is in the box, has left through an open side, or was counted as capped (dust)
 energy      kinetic and elastic energy, plastic work, work of the shock viscosity and the kinetic energy that left never
             rise: nothing but the painting of material brings energy in (with Mie-Grueneisen pressure, where heat does
-            work too: kinetic and internal energy, less what losses gave back to that, and what left). Taken at
-            the middle of a step, where velocity is known, with half of what the stresses stored and spent in that step;
-            a rise counts if it is still there at the next look
+            work too: kinetic and internal energy, less what losses gave back to that, and what left). Kinetic energy
+            that the remap took out of the heat counts as heat. Taken at the middle of a step, where velocity is known,
+            with half of what the stresses stored and spent in that step; a rise counts if it is still there at the
+            next look
 PEEQ        its sum over all material, weighted with mass, never falls by more than what left can have carried away
             (the largest single value may fall: the remap mixes)
 ranks       all ranks end after the same step with the same outcome
@@ -188,6 +189,10 @@ class Watch:
             held += sum(mpi.all_gather(self._spent()))
         else:
             held += energy["elastic"] + energy["plastic_work"] + energy["shock_viscosity"]
+        if s.model.settings.loss_heating:
+            kept = s.ledger.totals()["exchange_kept"] * s.model.energy_quantum
+            # what the remap's ringing makes beyond all losses has been taken out of the heat
+            held += min(energy["hourglass"] + energy["remap_kinetic"] + kept, 0.0)
         over, scale = held - energy["brought_in"], energy["brought_in"] or 1.0
         # in the first step of a contact the strain of a whole step faces a velocity that felt nothing yet
         lasting = over if last else min(over, self._energy)
