@@ -88,21 +88,16 @@ def test_leveque_field_brings_the_sphere_back():
 def test_reversed_vortex_brings_the_disc_back():
     """E1 at 64 below 1.2 times the reference; fails when ``distance - a * start`` of ``slab_volume`` is ``distance``.
 
-    Volume keeps to 1e-7 only, as components of a normal are cut off at 1e-7 there.
     """
-    levels = (16.0, 32.0, 64.0)
-    unmet = (("E1", 32.0), *((quantity, level) for quantity in ("volume", "mass") for level in levels))
-    check(measure("vof-vortex"), {"E1": 1.2 * 0.0108781, "volume": 1e-7, "mass": 1e-7}, unmet)
+    check(measure("vof-vortex"), {"E1": 1.2 * 0.0108781, "volume": 1e-12, "mass": 1e-12})
 
 
 @pytest.mark.slow
 def test_free_flight_changes_nothing():
     """Fails when ``(q_low - q)`` of the remap's updates is taken at the other face.
 
-    The stress of slivers of 1e-6 of a cell keeps to 1e-4 of the yield stress only.
     """
-    check(measure("free-flight"), {"velocity": 1e-9, "stress": 1e-4, "temperature": 1e-7, "PEEQ": 0.0, "mass": 1e-12},
-          (("stress", 7.0), ("temperature", 7.0)))
+    check(measure("free-flight"), {"velocity": 1e-9, "stress": 1e-9, "temperature": 1e-9, "PEEQ": 0.0, "mass": 1e-12})
 
 
 def test_rotation_keeps_the_invariants():

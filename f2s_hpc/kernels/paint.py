@@ -99,6 +99,8 @@ def merge_nodes(shape, added, mass, velocity, u, v, w):
                     continue
                 share = new / whole
                 n = (k * (ny + 1) + j) * (nx + 1) + i
-                u[n] += share * (velocity[0] - u[n])
-                v[n] += share * (velocity[1] - v[n])
-                w[n] += share * (velocity[2] - w[n])
+                # from the new velocity: a node of new material alone gets its very bits
+                old = 1.0 - share
+                u[n] = velocity[0] + old * (u[n] - velocity[0])
+                v[n] = velocity[1] + old * (v[n] - velocity[1])
+                w[n] = velocity[2] + old * (w[n] - velocity[2])

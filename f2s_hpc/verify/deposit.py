@@ -94,7 +94,7 @@ def run_section4(options: Options) -> Iterator[Measured]:
         cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
         bar = next((bar for largest, bar in _LOSS_BARS if dx <= largest * (1.0 + 1e-9)), None)
         yield Measured("numerical loss", level, dx, loss, 0.0, loss, bar, **cost)
-        remainder = abs(energy["remainder"] / energy["brought_in"])
+        remainder = abs((energy["time_step"] + energy["remainder"]) / energy["brought_in"])
         yield Measured("remainder", level, dx, remainder, 0.0, remainder, 0.005, **cost)
         drift = abs(balance["mass_drift_relative"])
         yield Measured("mass drift", level, dx, drift, 0.0, drift, 1e-10, compares=False, **cost)
