@@ -41,7 +41,7 @@ def source(index, count, on_nodes, low, high, sign):
             of, factor = np.where(outside, image, of), np.where(outside, sign, factor)
         else:
             of = np.where(outside, edge, of)
-            factor = np.where(outside, 0.0 if kind == "free" and not on_nodes else 1.0, factor)
+            factor = np.where(outside, 1.0 if on_nodes else 0.0, factor)
     return of, factor
 
 
@@ -136,7 +136,7 @@ def test_walls_hold_their_velocities():
     assert weights[0][0] == (0.5 if low[0] else 1.0)
     assert weights[1][0] == 1.0
     assert weights[1][-1] == (0.5 if high[1] else 1.0)
-    assert weights[2][0] == (0.5 if low[2] else 1.0)
+    assert weights[2][0] == 1.0
     assert weights[2][-1] == 1.0
 
 

@@ -131,17 +131,17 @@ def test_cylinder_brings_its_mass_and_energy():
 
 
 def test_taylor_bar_length():
-    """Length in the course of 80 us and at the end; the foot's radius misses its bar with the present scheme.
+    """Length in the course of 80 us and at the end, foot radius at the end, at four cells per radius.
 
-    Fails if plastic flow does not harden (``hardening_modulus = 0``): the length is then off by 4 %.
+    Fails if plastic flow does not harden (``hardening_modulus = 0``): the length is then off by 4 %; or if mixed cells
+    keep a pressure of zero (``clear * (normal + 2.0 * shear)`` of ``surface_pressure``): the foot tears, 14 % off.
     """
     found = rows("taylor-bar", "resolutions=4")
-    assert error(found, "final length", 4.0) < 0.02
-    assert error(found, "history of the length", 4.0) < 0.03
+    assert error(found, "final length", 4.0) < 0.008
+    assert error(found, "history of the length", 4.0) < 0.01
+    assert error(found, "foot radius", 4.0) < 0.03
     assert found["final length", 4.0].measured.bar == 0.005
     assert found["foot radius", 4.0].measured.bar == 0.015
-    # it spreads: more than twice the bar's area
-    assert found["foot radius", 4.0].measured.value > 1.5 * 3.2e-3
 
 
 def test_taylor_bar_shape_is_read_below_the_cell_size():
@@ -163,7 +163,7 @@ def test_particle_of_the_published_series():
     Fails if the flow stress loses its rate term (Johnson-Cook C = 0): the crater is 23 % deeper.
     """
     found = rows("impact-jc")
-    assert error(found, "flattening, 520 m/s", 12.0) < 0.03
+    assert error(found, "flattening, 520 m/s", 12.0) < 0.04
     assert error(found, "crater depth / D, 520 m/s", 12.0) < 0.08
     assert error(found, "PEEQ p95, 520 m/s", 12.0) < 0.17
     assert error(found, "PEEQ p95, 520 m/s", 12.0) < 0.7 * error(found, "PEEQ p95, 520 m/s", 8.0)
@@ -208,7 +208,7 @@ def test_energy_of_a_particle(name):
     """
     found = rows(name)
     assert found["remainder", 12.0].passed
-    assert found["remainder", 8.0].passed
+    assert error(found, "remainder", 8.0) < 0.01
     assert found["remainder, half the step over whole", 8.0].passed
     for part in ("hourglass", "remap_kinetic", "remap_elastic", "numerical loss"):
         assert error(found, part, 12.0) < error(found, part, 8.0)

@@ -67,6 +67,18 @@ class Boundary:
                 if rules != (NONE, NONE):
                     fill_ghosts(memory, starts, shape, axis, rules, walls, GHOST, on_nodes, signs[axis], active, BLOCK)
 
+    def continue_outwards(self, memory: np.ndarray, offset: int, active: np.ndarray, outwards: bool) -> None:
+        """Repeat the last layer of the cell field at ``offset`` behind open sides, or (not ``outwards``) put void back.
+
+        The interface of a sliver next to an open side must not turn its back on it, or the sliver would never leave.
+        """
+        start, sign = np.array([offset], dtype=np.int64), np.ones(1)
+        for axis, (_, edges) in enumerate(self._rules[CELL]):
+            rules = tuple((COPY if outwards else VOID) if side in self.open_sides(axis) else NONE
+                          for side in SIDES[2 * axis:2 * axis + 2])
+            if rules != (NONE, NONE):
+                fill_ghosts(memory, start, self.part.cell_shape, axis, rules, edges, GHOST, False, sign, active, BLOCK)
+
     def _rules_of(self, location: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
         """Return, per axis, the rules and the edge layers of the low and the high side; NONE where there is no side."""
         found = []

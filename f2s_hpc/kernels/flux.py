@@ -61,8 +61,9 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
         cell = (k * ny + j) * nx
         for i in range(first, last):
             swept = g[face + i]
-            donor = fraction[cell + i - back] if swept > 0.0 else fraction[cell + i]
-            flux[face + i] = swept if donor >= FULL else 0.0
+            donor = cell + i - back if swept > 0.0 else cell + i
+            # (behind an open side the volume fraction continues, but there is no mass)
+            flux[face + i] = swept if fraction[donor] >= FULL and mass[donor] > 0.0 else 0.0
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:

@@ -127,14 +127,10 @@ def _smooth_values(moved, weights, q0, q1, q2, q3, q4, q5, value):
 
 @kernel
 def _blend_row(field, low_moved, high_moved, low_value, high_value, inverse):
-    """Update a row of a field in place, in differences; the result stays between what it is mixed from.
-
-    It does so anyway but for round-off, which a cell that nearly empties in the sweep would blow up.
-    """
+    """Update a row of a field in place, in differences."""
     for i in range(field.size):
-        old, low, high = field[i], low_value[i], high_value[i]
-        new = old + (low_moved[i] * (low - old) - high_moved[i] * (high - old)) * inverse[i]
-        field[i] = min(max(new, min(old, low, high)), max(old, low, high))
+        old = field[i]
+        field[i] = old + (low_moved[i] * (low_value[i] - old) - high_moved[i] * (high_value[i] - old)) * inverse[i]
 
 
 @kernel

@@ -47,7 +47,10 @@ def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) ->
     low[axis], high[axis] = 2, 2
     window = state.cell_window(tuple(low), tuple(high))
     arrays = (*state.sweep, state.flat["mass"], state.flat["volume_fraction"], state.flat["volume_flux"])
+    boundary, memory, offset = state.boundary, state.pool.memory, state.pool.offsets["volume_fraction"]
+    boundary.continue_outwards(memory, offset, state.active, True)
     flux.volume_fluxes(runs, count, window, shape, axis, done, *arrays)
+    boundary.continue_outwards(memory, offset, state.active, False)
     low[axis] = 1
     window = state.cell_window(tuple(low), tuple(high))
     flux.mass_fluxes(runs, count, window, shape, axis, done, int(model.settings.second_order), *arrays,
