@@ -200,7 +200,7 @@ class Numerics(Section):
     light_mass_floor: Number = Field(default=0.005, gt=0, le=0.1,
                                      description="least mass that divides a force, over a full node's mass")
     speed_limit_factor: Number = Field(
-        default=1.25, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
+        default=1.2, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
                                         "its neighbours")
     speed_cap_factor: Number = Field(default=2.0, ge=1,
                                      description="speed cap of light nodes over the largest particle speed")

@@ -10,6 +10,7 @@ import numpy as np
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.grid.box import GHOST
 from f2s_hpc.materials.flow_stress import flow_stress
 from f2s_hpc.solver import lagrange
 from f2s_hpc.solver.model import Model
@@ -181,7 +182,7 @@ def _rotation(options: Options) -> Iterator[Measured]:
 
 def few_cells(model: Model, temperature: float = 298.15) -> Setup:
     """Return a full block of three cells each way for every rank."""
-    return make_block((THIN * mpi.size(), THIN, THIN), model, temperature)
+    return make_block((GHOST * mpi.size(), THIN, THIN), model, temperature)
 
 
 def shear_step(setup: Setup, rate: float, dt: float) -> None:
