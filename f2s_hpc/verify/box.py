@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from f2s_hpc import mpi
 from f2s_hpc.build import build_ledger, build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles.insert import InsertReport, paint_batch, paint_substrate
@@ -115,7 +116,8 @@ def warm_up(model: Model) -> None:
     models = type(model.eos), type(model.flow)
     if models not in _WARM:
         _WARM.add(models)
-        setup = make_setup((8, 8, 8), model, [(4.0, 4.0, 4.0, 2.0)], (1.0, 1.0, 1.0), 298.15, 1.0)
+        cells = (max(8, GHOST * mpi.size()), 8, 8)
+        setup = make_setup(cells, model, [(4.0, 4.0, 4.0, 2.0)], (1.0, 1.0, 1.0), 298.15, 1.0)
         setup.advance(2)
 
 
