@@ -206,7 +206,9 @@ class Watch:
         total = sum(mpi.all_gather(float((s.state.owned("mass") * s.state.owned("peeq")).sum())))
         totals = s.ledger.totals()
         left = totals["mass_left"] + totals["mass_capped"]
-        carried = (left - self._left) * s.model.mass_quantum * self.peeq_max
+        # mass is counted in quanta: what left is known to the bar of the mass only
+        known = left - self._left + MASS_BAR * (totals["mass_painted"] + self.substrate)
+        carried = known * s.model.mass_quantum * self.peeq_max
         self._most_peeq = max(self._most_peeq, total)
         if total < self._peeq - carried - PEEQ_BAR * self._most_peeq:
             raise Broken(f"PEEQ: its sum fell by {(self._peeq - total) / self._peeq:.2e} {self._at()}")
