@@ -37,6 +37,7 @@ LEVERS: tuple[Lever, ...] = (
     Lever("active rows", ("numerics.active_rows=true",), ("numerics.active_rows=false",)),
     Lever("no conduction", ("numerics.conduction=false",), ("numerics.conduction=true",)),
     Lever("remap of order 1", ("numerics.remap_order=1",), ("numerics.remap_order=2",)),
+    Lever("losses do not heat", ("numerics.loss_heating=false",), ("numerics.loss_heating=true",)),
 )
 """One line per lever; the full computation uses the ``full`` settings of all."""
 
