@@ -125,10 +125,14 @@ class State:
 
     # --- ghosts -------------------------------------------------------------------------------------
 
-    def exchange(self, names: tuple[str, ...]) -> None:
-        """Fill the ghosts of the named fields: from the neighbours, then behind the sides where blocks are active."""
-        self.pool.exchange(names)
-        self.boundary.fill(self.pool.memory, self.pool.offsets, names, self.active)
+    def exchange(self, names: tuple[str, ...], layers: int = GHOST, axis: int | None = None) -> None:
+        """Fill the ghosts of the named fields: from the neighbours, then behind the sides where blocks are active.
+
+        ``layers``: how deep; ``axis``: only those straight along this axis (0, 1, 2), as a sweep along it reads them.
+        """
+        self.pool.exchange(names, layers, axis)
+        self.boundary.fill(self.pool.memory, self.pool.offsets, names, self.active,
+                           (0, 1, 2) if axis is None else (axis,), layers)
 
     def owned(self, name: str) -> np.ndarray:
         """Return the owned part of a field, a view [k, j, i]."""

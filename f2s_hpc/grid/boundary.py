@@ -55,17 +55,19 @@ class Boundary:
         axis = SIDES.index(side) // 2
         return GHOST + (self.part.count[axis] if side.endswith("high") else 0)
 
-    def fill(self, memory: np.ndarray, offsets: dict[str, int], names: tuple[str, ...], active: np.ndarray) -> None:
-        """Fill the ghosts of the named fields behind the touched sides where blocks are ``active``: x, then y, then z.
+    def fill(self, memory: np.ndarray, offsets: dict[str, int], names: tuple[str, ...], active: np.ndarray,
+             axes: tuple[int, ...] = (0, 1, 2), layers: int = GHOST) -> None:
+        """Fill ghosts of the named fields behind the touched sides where blocks are ``active``: x, then y, then z.
 
-        ``offsets``: where each field starts in ``memory``; ``active``: uint8 [k, j, block].
+        ``offsets``: where each field starts in ``memory``; ``active``: uint8 [k, j, block]; ``axes``, ``layers``: behind
+        which sides, and how deep.
         """
         for location, starts, signs in self._grouped(offsets, names):
             on_nodes = location != CELL
             shape = self.part.node_shape if on_nodes else self.part.cell_shape
             for axis, (rules, walls) in enumerate(self._rules[location]):
-                if rules != (NONE, NONE):
-                    fill_ghosts(memory, starts, shape, axis, rules, walls, GHOST, on_nodes, signs[axis], active, BLOCK)
+                if axis in axes and rules != (NONE, NONE):
+                    fill_ghosts(memory, starts, shape, axis, rules, walls, layers, on_nodes, signs[axis], active, BLOCK)
 
     def continue_outwards(self, memory: np.ndarray, offset: int, active: np.ndarray, outwards: bool) -> None:
         """Repeat the last layer of the cell field at ``offset`` behind open sides, or (not ``outwards``) put void back.

@@ -64,6 +64,19 @@ class GhostMap:
     rank: np.ndarray
     remote: np.ndarray
 
+    def part(self, shape: tuple[int, int, int], count: tuple[int, int, int], layers: int,
+             axis: int | None) -> GhostMap:
+        """Return the ghosts at most ``layers`` deep, all of them or only those straight along ``axis``.
+
+        ``shape``: (nz, ny, nx) of the local array, ``count``: (x, y, z) points owned.
+        """
+        places = np.unravel_index(self.local, shape)[::-1]
+        kept = np.ones(self.local.size, dtype=bool)
+        for a, (place, owned) in enumerate(zip(places, count)):
+            depth = layers if axis in (None, a) else 0
+            kept &= (place >= GHOST - depth) & (place < GHOST + owned + depth)
+        return GhostMap(self.local[kept], self.rank[kept], self.remote[kept])
+
 
 class Decomposition:
     """The distributed box: this rank's :class:`Part` and the ghost maps of cells and nodes."""

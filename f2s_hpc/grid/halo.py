@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from f2s_hpc import mpi
 from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Decomposition
 
 _ALIGNMENT = 8
@@ -41,7 +42,7 @@ class Pool:
         self.memory = np.zeros(end)
         self.views = {name: self._view(part, name) for name in self.names}
         self._offsets_of = mpi.all_gather(self.offsets)
-        self._forests: dict[tuple[str, ...], PETSc.SF] = {}
+        self._forests: dict[tuple, PETSc.SF] = {}
         _living.append(self)
 
     @staticmethod
@@ -53,21 +54,25 @@ class Pool:
         start = self.offsets[name]
         return self.memory[start:start + int(np.prod(shape))].reshape(shape)
 
-    def exchange(self, names: tuple[str, ...]) -> None:
-        """Fill the ghosts of the named fields that other ranks own."""
+    def exchange(self, names: tuple[str, ...], layers: int = GHOST, axis: int | None = None) -> None:
+        """Fill the ghosts of the named fields that other ranks own: ``layers`` deep, all or those along ``axis``."""
         if mpi.size() == 1:
             return
-        forest = self._forests.get(names)
+        key = (names, layers, axis)
+        forest = self._forests.get(key)
         if forest is None:
-            forest = self._forests[names] = self._build(names)
+            forest = self._forests[key] = self._build(*key)
         forest.bcastBegin(mpi.DOUBLE, self.memory, self.memory, mpi.REPLACE)
         forest.bcastEnd(mpi.DOUBLE, self.memory, self.memory, mpi.REPLACE)
 
-    def _build(self, names: tuple[str, ...]) -> PETSc.SF:
+    def _build(self, names: tuple[str, ...], layers: int, axis: int | None) -> PETSc.SF:
         local, remote = [], []
         for name in names:
-            ghosts = (self.decomposition.cell_ghosts if BY_NAME[name].location == CELL
-                      else self.decomposition.node_ghosts)
+            on_cells = BY_NAME[name].location == CELL
+            part = self.decomposition.part
+            ghosts = (self.decomposition.cell_ghosts if on_cells else self.decomposition.node_ghosts).part(
+                part.cell_shape if on_cells else part.node_shape, part.count if on_cells else part.node_count, layers,
+                axis)
             offset_at = np.array([offsets[name] for offsets in self._offsets_of], dtype=np.int64)
             local.append(self.offsets[name] + ghosts.local)
             remote.append(np.stack([ghosts.rank, offset_at[ghosts.rank] + ghosts.remote], axis=1))

@@ -15,6 +15,9 @@ from f2s_hpc._jit import kernel
 
 BLOCK = 16
 
+SPARE = 0.25
+"""Columns that differ by less than this share of their length are walked as one."""
+
 
 @kernel
 def mark_material(mass, shape, ghosts, active, holds):
@@ -92,43 +95,79 @@ def list_runs(active, row_length, runs):
 
 
 @kernel
+def _segment(active, axis, fixed, block, start):
+    """Return first and end row of the next active rows of a column from ``start`` on; equal when there are none."""
+    length = active.shape[1] if axis == 1 else active.shape[0]
+    t = start
+    while t < length and not (active[fixed, t, block] if axis == 1 else active[t, fixed, block]):
+        t += 1
+    first = t
+    while t < length and (active[fixed, t, block] if axis == 1 else active[t, fixed, block]):
+        t += 1
+    return first, t
+
+
+@kernel
+def _inactive(active, axis, fixed, first_block, end_block, first, end):
+    """Return whether no block of a part of a plane is active."""
+    for b in range(first_block, end_block):
+        for t in range(first, end):
+            if active[fixed, t, b] if axis == 1 else active[t, fixed, b]:
+                return False
+    return True
+
+
+@kernel
+def _joined(active, axis, column, block, first, end):
+    """Return the rows that ``column`` and the stretch of the next ``block`` can share, or an empty stretch."""
+    low, high = min(first, column[1]), max(end, column[2])
+    if high - low > (1.0 + SPARE) * min(end - first, column[2] - column[1]):
+        return 0, 0
+    fixed, b0 = column[0], column[3] // BLOCK
+    if (_inactive(active, axis, fixed, block, block + 1, low, first)
+            and _inactive(active, axis, fixed, block, block + 1, end, high)
+            and _inactive(active, axis, fixed, b0, block, low, column[1])
+            and _inactive(active, axis, fixed, b0, block, column[2], high)):
+        return low, high
+    return 0, 0
+
+
+@kernel
 def list_columns(active, row_length, axis, columns):
     """List the columns of active blocks that a sweep across the rows walks.
 
     ``axis`` 1 (y): fixed index k, walking j; 2 (z): fixed index j, walking k. Rows of ``columns``
-    (int32): fixed index, first row, end row, first cell, end cell; neighbouring blocks with the same extent share one.
+    (int32): fixed index, first row, end row, first cell, end cell. Stretches of neighbouring blocks that are much
+    the same share a column over both: the inactive cells it takes in are void, stay void, and cost less than short rows.
     Returns the number of columns (see :func:`list_runs` for overflow).
     """
     nz, ny, blocks = active.shape
-    fixed_count, length = (nz, ny) if axis == 1 else (ny, nz)
-    count = 0
-    for fixed in range(fixed_count):
+    count, most = 0, columns.shape[0]
+    for fixed in range(nz if axis == 1 else ny):
         own = count
         for b in range(blocks):
-            t = 0
-            while t < length:
-                here = active[fixed, t, b] if axis == 1 else active[t, fixed, b]
-                if not here:
-                    t += 1
-                    continue
-                first = t
-                while t < length and (active[fixed, t, b] if axis == 1 else active[t, fixed, b]):
-                    t += 1
+            before = count
+            first, end = _segment(active, axis, fixed, b, 0)
+            while end > first:
                 merged = False
-                for c in range(own, min(count, columns.shape[0])):
-                    if columns[c, 1] == first and columns[c, 2] == t and columns[c, 4] == b * BLOCK:
+                for c in range(own, min(before, most)):
+                    if columns[c, 4] != b * BLOCK:
+                        continue
+                    low, high = _joined(active, axis, columns[c], b, first, end)
+                    if high > low:
+                        columns[c, 1], columns[c, 2] = low, high
                         columns[c, 4] = min((b + 1) * BLOCK, row_length)
                         merged = True
                         break
-                if merged:
-                    continue
-                if count < columns.shape[0]:
-                    columns[count, 0] = fixed
-                    columns[count, 1] = first
-                    columns[count, 2] = t
-                    columns[count, 3] = b * BLOCK
-                    columns[count, 4] = min((b + 1) * BLOCK, row_length)
-                count += 1
+                if not merged:
+                    if count < most:
+                        columns[count, 0] = fixed
+                        columns[count, 1] = first
+                        columns[count, 2] = end
+                        columns[count, 3] = b * BLOCK
+                        columns[count, 4] = min((b + 1) * BLOCK, row_length)
+                    count += 1
+                first, end = _segment(active, axis, fixed, b, end)
     return count
 
 

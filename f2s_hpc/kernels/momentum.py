@@ -15,8 +15,9 @@ FAST_STRENGTH = 0.12
 """Strength of the momentum exchange between a node beyond the speed limit and its neighbours."""
 
 
-LIGHTEST = 1e-9
-"""Nodes below this mass (in full nodes) give no heat: their share of it is below round-off."""
+LEAST_HEATING = 0.6
+"""Nodes below this mass (in full nodes), on a surface or in fragments thinner than a cell, give no heat: their motion
+against each other is not resolved, and the little material around them would take it all (lips reached 1,800 degC)."""
 
 
 @kernel
@@ -163,7 +164,7 @@ def specific_losses(runs, count, window, shape, nodal, lost, specific):
         row = (k * (ny + 1) + j) * (nx + 1)
         for n in range(row + max(runs[r, 2], window[4]), row + min(runs[r, 3], window[5])):
             m = nodal[n]
-            specific[n] = 0.5 * lost[n] / max(m, 1e-300) if m > LIGHTEST else 0.0
+            specific[n] = 0.5 * lost[n] / max(m, 1e-300) if m > LEAST_HEATING else 0.0
             lost[n] = 0.0
 
 

@@ -12,32 +12,53 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import inlined, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.flux import axes_left
 
 LEAST_MASS = 1e-13
 """Below this mass (in full cells or nodes) a quotient of masses is round-off: values are left as they are."""
 
 LEAST_SLOPED = 1e-6
-"""Cells and nodes lighter than this (in full ones) are void to the slopes of their neighbours."""
+"""Nodes lighter than this (in full ones) are void to the slopes of their neighbours."""
+
+LEAST_SLOPED_CELL = 0.95
+"""Cells lighter than this (in full ones; none that is full is, whatever its tension) have no slope and give none.
+
+What a mixed cell holds lies where its material is, not at its centre. With slopes across the surface the lips of
+impacts kept PEEQ a third higher, and no less energy was lost without them."""
+
+
+@kernel
+def _mean_of_corners(a, b, c, d, out):
+    """Mean of eight values around each point of a row; ``a``..``d``: the four rows around it, each one longer."""
+    for i in range(out.size):
+        out[i] = 0.125 * (((a[i] + a[i + 1]) + (b[i] + b[i + 1])) + ((c[i] + c[i + 1]) + (d[i] + d[i + 1])))
 
 
 @kernel
 def nodal_masses(runs, count, window, shape, mass, nodal):
     """Mass of each node in full nodes, the mean of its eight cells, for nodes of ``window``."""
     ny, nx = shape
+    mass, nodal = borrowed(mass), borrowed(nodal)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
-        a = ((k - 1) * ny + j - 1) * nx
-        b = a + nx
-        c = a + ny * nx
-        d = c + nx
-        row = (k * (ny + 1) + j) * (nx + 1)
-        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
-            nodal[row + i] = 0.125 * (((mass[a + i - 1] + mass[a + i]) + (mass[b + i - 1] + mass[b + i]))
-                                      + ((mass[c + i - 1] + mass[c + i]) + (mass[d + i - 1] + mass[d + i])))
+        first, n = max(runs[r, 2], window[4]), min(runs[r, 3], window[5]) - max(runs[r, 2], window[4])
+        if n <= 0:
+            continue
+        a = ((k - 1) * ny + j - 1) * nx + first - 1
+        b, c, d = a + nx, a + ny * nx, a + ny * nx + nx
+        row = (k * (ny + 1) + j) * (nx + 1) + first
+        _mean_of_corners(mass[a:a + n + 1], mass[b:b + n + 1], mass[c:c + n + 1], mass[d:d + n + 1],
+                         nodal[row:row + n])
+
+
+@kernel
+def _mean_of_faces(a0, a1, a2, a3, b0, b1, b2, b3, out):
+    """Mean of eight rows."""
+    for i in range(out.size):
+        out[i] = 0.125 * (((a0[i] + b0[i]) + (a1[i] + b1[i])) + ((a2[i] + b2[i]) + (a3[i] + b3[i])))
 
 
 @kernel
@@ -50,16 +71,19 @@ def dual_fluxes(runs, count, window, shape, axis, mass_flux, dual):
     ny, nx = shape
     strides = (1, nx + 1, (nx + 1) * (ny + 1))
     step, p, q = strides[axis], strides[(axis + 1) % 3], strides[(axis + 2) % 3]
+    mass_flux, dual = borrowed(mass_flux), borrowed(dual)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
-        row = (k * (ny + 1) + j) * (nx + 1)
-        for n in range(row + max(runs[r, 2], window[4]), row + min(runs[r, 3], window[5])):
-            a = n - step
-            dual[n] = 0.125 * (
-                ((mass_flux[a] + mass_flux[n]) + (mass_flux[a - p] + mass_flux[n - p]))
-                + ((mass_flux[a - q] + mass_flux[n - q]) + (mass_flux[a - p - q] + mass_flux[n - p - q])))
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        if last <= first:
+            continue
+        b = (k * (ny + 1) + j) * (nx + 1) + first
+        a, n = b - step, last - first
+        _mean_of_faces(mass_flux[a:a + n], mass_flux[a - p:a - p + n], mass_flux[a - q:a - q + n],
+                       mass_flux[a - p - q:a - p - q + n], mass_flux[b:b + n], mass_flux[b - p:b - p + n],
+                       mass_flux[b - q:b - q + n], mass_flux[b - p - q:b - p - q + n], dual[b:b + n])
 
 
 @inlined
@@ -69,37 +93,37 @@ def _ordered(along, a, b, c, d, e, f):
 
 
 @kernel
-def _face_weights(smooth, second, moved, m0, m1, m2, m3, m4, m5, weights):
-    """Weights of the four differences around the donor at each face of a row, into ``weights`` [4, n].
+def _face_weights(smooth, second, moved, m0, m1, m2, m3, m4, m5, w_behind, w_ahead, w_far_behind, w_far_ahead):
+    """Weights of the four differences around the donor at each face of a row.
 
     The face carries the mean over the share n of the donor that moves, of the polynomial with the cell means around it:
     third order on three cells, fifth order on five where ``smooth`` asks for it and no wider neighbour is void
     (the upstream interpolations of Leonard 1991, Comput. Methods Appl. Mech. Eng. 88, 17).
-    Rows: behind, ahead, far behind, far ahead. Zero in first order and where the donor or a neighbour is void:
-    void has no slope. ``m0``..``m5``: masses of the three rows below and the three above the faces.
+    Zero in first order and where the donor or a neighbour is void, of cells
+    also where one is mixed: void has no slope. ``m0``..``m5``: masses of the three rows below and the three above the faces.
     """
     for i in range(moved.size):
         up2, up, donor, down, down2 = _ordered(moved[i] > 0.0, m0[i], m1[i], m2[i], m3[i], m4[i], m5[i])
         n = min(abs(moved[i]) / max(donor, 1e-300), 1.0)
-        solid = second * (1.0 if min(up, down) > LEAST_SLOPED else 0.0)
+        least = LEAST_SLOPED if smooth > 0.0 else LEAST_SLOPED_CELL
+        solid = second * (1.0 if min(min(up, down), donor) > least else 0.0)
         wide = smooth * solid * (1.0 if min(up2, down2) > LEAST_SLOPED else 0.0)
         narrow = (solid - wide) * (1.0 - n) / 6.0
         behind = 11.0 / 60.0 + n * (1.0 / 24.0 - n * (5.0 / 24.0 + n * (1.0 / 24.0 - n / 40.0)))
         ahead = 0.4 - n * (7.0 / 12.0 - n * (0.125 + n * (1.0 / 12.0 - n / 40.0)))
-        weights[0, i] = narrow * (1.0 + n) + wide * behind
-        weights[1, i] = narrow * (2.0 - n) + wide * ahead
-        weights[2, i] = wide * (n * n * (1.0 / 24.0 - n * n / 120.0) - 1.0 / 30.0)
-        weights[3, i] = wide * (n * (1.0 / 24.0 + n * (1.0 / 24.0 - n * (1.0 / 24.0 - n / 120.0))) - 0.05)
+        w_behind[i] = narrow * (1.0 + n) + wide * behind
+        w_ahead[i] = narrow * (2.0 - n) + wide * ahead
+        w_far_behind[i] = wide * (n * n * (1.0 / 24.0 - n * n / 120.0) - 1.0 / 30.0)
+        w_far_ahead[i] = wide * (n * (1.0 / 24.0 + n * (1.0 / 24.0 - n * (1.0 / 24.0 - n / 120.0))) - 0.05)
 
 
 @kernel
-def _limited_values(moved, weights, q1, q2, q3, q4, value):
+def _limited_values(moved, w_behind, w_ahead, q1, q2, q3, q4, value):
     """Value that each face of a row carries, at third order, limited.
 
     The step from the donor's value stays below twice the smaller difference's and vanishes at an extremum, so
     mass-weighted fields cannot overshoot.
     """
-    w_behind, w_ahead = weights[0], weights[1]
     for i in range(moved.size):
         along = moved[i] > 0.0
         a, b, c, d = q1[i], q2[i], q3[i], q4[i]
@@ -111,14 +135,13 @@ def _limited_values(moved, weights, q1, q2, q3, q4, value):
 
 
 @kernel
-def _smooth_values(moved, weights, q0, q1, q2, q3, q4, q5, value):
+def _smooth_values(moved, w_behind, w_ahead, w_far_behind, w_far_ahead, q0, q1, q2, q3, q4, q5, value):
     """Velocity that each face of a row carries, at fifth order, not limited.
 
     A limiter flattens every extremum, and with it the kinetic energy of a particle a few cells wide: with van Leer's
     the remap lost two and a half times as much, with the bounds of Suresh and Huynh (1997) twice. At a jump the
     velocity rings a little instead; what kinetic energy that makes is taken out of the heat, as losses are put in.
     """
-    w_behind, w_ahead, w_far_behind, w_far_ahead = weights[0], weights[1], weights[2], weights[3]
     for i in range(moved.size):
         up2, up, donor, down, down2 = _ordered(moved[i] > 0.0, q0[i], q1[i], q2[i], q3[i], q4[i], q5[i])
         value[i] = donor + ((w_behind[i] * (donor - up) + w_ahead[i] * (down - donor))
@@ -161,19 +184,30 @@ def _inverse_masses(masses, low_moved, high_moved, inverse):
 
 
 @kernel
+def _longest(list_, count, first, end):
+    """Return the largest extent of the listed runs or columns; ``first``, ``end``: where their bounds stand."""
+    width = 0
+    for r in range(count):
+        width = max(width, list_[r, end] - list_[r, first])
+    return width
+
+
+@kernel
 def sweep_along_rows(runs, count, window, strides, moved_strides, second, memory, fields, masses, moved, lost):
     """Sweep along x the fields that start at ``fields`` (offsets into ``memory``).
 
     ``strides``, ``moved_strides``: (plane, row) strides of the fields and of the flux array; ``second``: 1.0 for
     slopes, 0.0 for first order; ``masses``: mass before the sweep, ``moved``: mass through the low side of each
-    cell or node. ``lost``: array of the nodes' lost kinetic energy, which tells that the fields are velocities
-    (fifth order, not limited); an array of one number for cells (third order, limited).
+    cell or node. ``lost``: the nodes' lost kinetic energy, if the fields are velocities (fifth order, not limited); None
+    for cells (third order, limited).
     """
-    width = 0
-    for r in range(count):
-        width = max(width, runs[r, 3] - runs[r, 2] + 1)
-    all_values, all_weights, all_inverses = np.empty(width), np.empty((4, width)), np.empty(width)
-    velocities = lost.size > 1
+    width = _longest(runs, count, 2, 3) + 1
+    scratch = np.empty(6 * width)
+    # (flat rows, each of known unit stride: of a slice of a matrix the compiler does not know that)
+    value, inverse = borrowed(scratch[:width]), borrowed(scratch[width:2 * width])
+    w0, w1 = borrowed(scratch[2 * width:3 * width]), borrowed(scratch[3 * width:4 * width])
+    w2, w3 = borrowed(scratch[4 * width:5 * width]), borrowed(scratch[5 * width:])
+    memory, masses, moved = borrowed(memory), borrowed(masses), borrowed(moved)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -185,20 +219,21 @@ def sweep_along_rows(runs, count, window, strides, moved_strides, second, memory
         side = k * moved_strides[0] + j * moved_strides[1] + first
         here = k * strides[0] + j * strides[1] + first
         flow = moved[side:side + n + 1]
-        value, weights, inverse = all_values[:n + 1], all_weights[:, :n + 1], all_inverses[:n]
         m = masses[here - 3:here + n + 3]
-        _inverse_masses(m[3:n + 3], flow[:n], flow[1:], inverse)
-        _face_weights(1.0 if velocities else 0.0, second, flow, m[:n + 1], m[1:n + 2], m[2:n + 3], m[3:n + 4],
-                      m[4:n + 5], m[5:], weights)
+        _inverse_masses(m[3:n + 3], flow[:n], flow[1:], inverse[:n])
+        _face_weights(0.0 if lost is None else 1.0, second, flow, m[:n + 1], m[1:n + 2], m[2:n + 3], m[3:n + 4],
+                      m[4:n + 5], m[5:], w0, w1, w2, w3)
         for f in range(fields.size):
             q = memory[fields[f] + here - 3:fields[f] + here + n + 3]
-            if velocities:
-                _smooth_values(flow, weights, q[:n + 1], q[1:n + 2], q[2:n + 3], q[3:n + 4], q[4:n + 5], q[5:], value)
-                _blend_velocity(q[3:n + 3], m[3:n + 3], flow[:n], flow[1:], value[:n], value[1:], inverse,
+            if lost is not None:
+                _smooth_values(flow, w0, w1, w2, w3, q[:n + 1], q[1:n + 2], q[2:n + 3], q[3:n + 4], q[4:n + 5], q[5:],
+                               value)
+                _blend_velocity(q[3:n + 3], m[3:n + 3], flow[:n], flow[1:], value[:n], value[1:n + 1], inverse,
                                 lost[here:here + n])
             else:
-                _limited_values(flow, weights, q[1:n + 2], q[2:n + 3], q[3:n + 4], q[4:n + 5], value)
-                _blend_row(q[3:n + 3], flow[:n], flow[1:], value[:n], value[1:], inverse)
+                _limited_values(flow, w0, w1, q[1:n + 2], q[2:n + 3], q[3:n + 4], q[4:n + 5], value)
+                _blend_row(q[3:n + 3], flow[:n], flow[1:], value[:n], value[1:n + 1], inverse)
+    scratch[0] = 0.0  # alive to here
 
 
 @kernel
@@ -210,13 +245,13 @@ def sweep_across_rows(columns, count, window, strides, moved_strides, second, me
     from row to row). Rows already updated live on in a buffer, so no field needs a second copy; the rest as in
     :func:`sweep_along_rows`.
     """
-    width = 0
-    for r in range(count):
-        width = max(width, columns[r, 4] - columns[r, 3])
-    values = np.empty((2, fields.size, width))
-    previous = np.empty((3, fields.size, width))
-    all_weights, all_inverses = np.empty((4, width)), np.empty(width)
-    velocities = lost.size > 1
+    width = _longest(columns, count, 3, 4)
+    scratch = np.empty((5 + 5 * fields.size) * width)
+    w0, w1 = borrowed(scratch[:width]), borrowed(scratch[width:2 * width])
+    w2, w3 = borrowed(scratch[2 * width:3 * width]), borrowed(scratch[3 * width:4 * width])
+    inverse, buffer = borrowed(scratch[4 * width:5 * width]), borrowed(scratch[5 * width:])
+    between = fields.size * width
+    memory, masses, moved = borrowed(memory), borrowed(masses), borrowed(moved)
     row, moved_row = strides[1], moved_strides[1]
     for r in range(count):
         fixed = columns[r, 0]
@@ -227,35 +262,39 @@ def sweep_across_rows(columns, count, window, strides, moved_strides, second, me
         if t1 <= t0 or i1 <= i0:
             continue
         n = i1 - i0
-        weights, inverse = all_weights[:, :n], all_inverses[:n]
         for t in range(t0 - 1, t1):
             here = fixed * strides[0] + t * row + i0
             side = fixed * moved_strides[0] + t * moved_row + i0
             low, high = moved[side:side + n], moved[side + moved_row:side + moved_row + n]
-            _face_weights(1.0 if velocities else 0.0, second, high, masses[here - 2 * row:here - 2 * row + n],
-                          masses[here - row:here - row + n], masses[here:here + n],
-                          masses[here + row:here + row + n], masses[here + 2 * row:here + 2 * row + n],
-                          masses[here + 3 * row:here + 3 * row + n], weights)
-            _inverse_masses(masses[here:here + n], low, high, inverse)
-            new, old = t % 2, (t + 1) % 2
+            m = masses[here:here + n]
+            _face_weights(0.0 if lost is None else 1.0, second, high, masses[here - 2 * row:here - 2 * row + n],
+                          masses[here - row:here - row + n], m, masses[here + row:here + row + n],
+                          masses[here + 2 * row:here + 2 * row + n], masses[here + 3 * row:here + 3 * row + n],
+                          w0, w1, w2, w3)
+            _inverse_masses(m, low, high, inverse)
+            new, old = (t % 2) * between, ((t + 1) % 2) * between
+            now, last, last2 = (2 + t % 3) * between, (2 + (t - 1) % 3) * between, (2 + (t - 2) % 3) * between
             for f in range(fields.size):
-                a = fields[f] + here
+                a, o = fields[f] + here, f * width
                 field = memory[a:a + n]
                 # below the first row nothing was updated: its old values still stand
-                below = previous[(t - 1) % 3, f, :n] if t >= t0 else memory[a - row:a - row + n]
+                below = buffer[last + o:last + o + n] if t >= t0 else memory[a - row:a - row + n]
                 above, above2 = memory[a + row:a + row + n], memory[a + 2 * row:a + 2 * row + n]
-                if velocities:
-                    below2 = previous[(t - 2) % 3, f, :n] if t > t0 else memory[a - 2 * row:a - 2 * row + n]
-                    _smooth_values(high, weights, below2, below, field, above, above2,
-                                   memory[a + 3 * row:a + 3 * row + n], values[new, f, :n])
+                entering, leaving = buffer[old + o:old + o + n], buffer[new + o:new + o + n]
+                if lost is not None:
+                    below2 = buffer[last2 + o:last2 + o + n] if t > t0 else memory[a - 2 * row:a - 2 * row + n]
+                    _smooth_values(high, w0, w1, w2, w3, below2, below, field, above, above2,
+                                   memory[a + 3 * row:a + 3 * row + n], leaving)
                 else:
-                    _limited_values(high, weights, below, field, above, above2, values[new, f, :n])
-                previous[t % 3, f, :n] = field
-                if t >= t0 and velocities:
-                    _blend_velocity(field, masses[here:here + n], low, high, values[old, f, :n], values[new, f, :n],
-                                    inverse, lost[here:here + n])
-                elif t >= t0:
-                    _blend_row(field, low, high, values[old, f, :n], values[new, f, :n], inverse)
+                    _limited_values(high, w0, w1, below, field, above, above2, leaving)
+                buffer[now + o:now + o + n] = field
+                if t < t0:
+                    continue
+                if lost is not None:
+                    _blend_velocity(field, m, low, high, entering, leaving, inverse, lost[here:here + n])
+                else:
+                    _blend_row(field, low, high, entering, leaving, inverse)
+    scratch[0] = 0.0  # alive to here
 
 
 @kernel

@@ -2,19 +2,9 @@
 
 from __future__ import annotations
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import borrowed, kernel
 
 NONE, MIRROR, VOID, COPY = 0, 1, 2, 3
-
-
-@kernel
-def _copy(memory, offsets, signs, rule, to, of, first, last, stride):
-    """Fill ghosts ``first`` to ``last`` of a row of every field: ``to``, ``of`` start of the row filled and copied."""
-    for f in range(offsets.size):
-        factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
-        a, b = offsets[f] + to, offsets[f] + of
-        for i in range(first, last):
-            memory[a + i * stride] = factor * memory[b + i * stride]
 
 
 @kernel
@@ -25,16 +15,38 @@ def _fill_row(memory, offsets, signs, rule, active, k, j, row_length, to, of, bl
     b = 0
     while b < blocks:
         if active[kk, jj, b]:
-            first = b
+            first = b * block
             while b < blocks and active[kk, jj, b]:
                 b += 1
-            last = row_length if b == blocks else b * block
-            _copy(memory, offsets, signs, rule, to, of, first * block, last, 1)
+            n = (row_length if b == blocks else b * block) - first
+            for f in range(offsets.size):
+                factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
+                target, source = memory[offsets[f] + to + first:], memory[offsets[f] + of + first:]
+                for i in range(n):
+                    target[i] = factor * source[i]
         b += 1
 
 
 @kernel
-def fill_ghosts(memory, offsets, shape, axis, rules, edges, ghosts, on_nodes, signs, active, block):
+def _fill_ends(memory, offsets, signs, rules, edges, layers, on_nodes, active, k, j, row, block):
+    """Fill the ghosts at both ends of one row (k, j) that starts at ``row``, where their blocks are active."""
+    blocks = active.shape[2]
+    for layer in range(1, layers + 1):
+        for high in range(2):
+            rule, edge, direction = rules[high], edges[high], 2 * high - 1
+            target = row + edge + direction * layer
+            if rule == NONE or not active[k, j, min((edge + direction * layer) // block, blocks - 1)]:
+                continue
+            source = row + edge
+            if rule == MIRROR:
+                source -= direction * (layer if on_nodes else layer - 1)
+            for f in range(offsets.size):
+                factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
+                memory[offsets[f] + target] = factor * memory[offsets[f] + source]
+
+
+@kernel
+def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, signs, active, block):
     """Fill the ghost layers of several fields behind both sides of the box normal to ``axis``, where blocks are active.
 
     ``offsets``: where the fields start in ``memory``; ``shape``: (nz, ny, nx) of their local arrays. ``axis``: 0, 1, 2
@@ -45,8 +57,15 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, ghosts, on_nodes, si
     one lies behind the other.
     """
     nz, ny, nx = shape
+    memory = borrowed(memory)
     strides = (1, nx, nx * ny)
-    for layer in range(1, ghosts + 1):
+    if axis == 0:
+        for k in range(nz):
+            for j in range(ny):
+                _fill_ends(memory, offsets, signs, rules, edges, layers, on_nodes, active,
+                           min(k, active.shape[0] - 1), min(j, active.shape[1] - 1), k * strides[2] + j * nx, block)
+        return
+    for layer in range(1, layers + 1):
         for high in range(2):
             rule, edge, direction = rules[high], edges[high], 2 * high - 1
             if rule == NONE:
@@ -55,14 +74,7 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, ghosts, on_nodes, si
             source = edge
             if rule == MIRROR:
                 source = edge - direction * (layer if on_nodes else layer - 1)
-            if axis == 0:
-                b = min(target // block, active.shape[2] - 1)
-                for k in range(nz):
-                    for j in range(ny):
-                        if active[min(k, active.shape[0] - 1), min(j, active.shape[1] - 1), b]:
-                            row = k * strides[2] + j * nx
-                            _copy(memory, offsets, signs, rule, row + target, row + source, 0, 1, 1)
-            elif axis == 1:
+            if axis == 1:
                 for k in range(nz):
                     plane = k * strides[2]
                     _fill_row(memory, offsets, signs, rule, active, k, target, nx, plane + target * nx,

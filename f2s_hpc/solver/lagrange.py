@@ -40,7 +40,7 @@ def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray)
 
 
 def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
-    """Accelerate the owned nodes over ``dt`` and hold the walls; ghosts of velocity are valid after."""
+    """Accelerate the owned nodes over ``dt`` and hold the walls; the first ghosts of velocity are valid after."""
     runs, count = state.runs
     sums = np.zeros(4, dtype=np.int64)
     boundary = state.boundary
@@ -50,7 +50,7 @@ def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
         *state.force, *state.velocity, model.energy_quantum, sums)
     for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld"), sums):
         ledger.add(name, value)
-    state.exchange(VELOCITY)
+    state.exchange(VELOCITY, layers=1)
 
 
 def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float) -> tuple[float, float]:
@@ -81,9 +81,10 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float)
     return speeds
 
 
-def deform(state: State, model: Model, dt: float, ledger: Ledger) -> tuple[float, int]:
+def deform(state: State, model: Model, dt: float, ledger: Ledger, axis: int | None = None) -> tuple[float, int]:
     """Strain the cells with the new velocity: stress, plastic flow, heating, closure, face fluxes.
 
+    ``axis`` of the sweep that follows: what it carries is exchanged along it (None: everywhere).
     Returns the largest velocity-gradient norm (1/s) and the flat index of its cell.
     """
     runs, count = state.runs
@@ -100,7 +101,8 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger) -> tuple[float
         ledger.add(name, value)
     full = ((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
     strain.face_fluxes(runs, count, state.cell_window(*full), shape, dt / model.dx, *state.velocity, *state.sweep)
-    state.exchange(tuple(n for n in state.moving_cells if n != "mass"))
+    state.exchange(("volume_fraction",))
+    state.exchange(state.carried_cells, axis=axis)
     return gradient, where
 
 

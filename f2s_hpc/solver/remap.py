@@ -14,6 +14,11 @@ from f2s_hpc.state import State
 SWEEP_ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
 
 
+def sweep_order(step: int) -> tuple[int, int, int]:
+    """Return the axes in the order in which the remap of a step sweeps them."""
+    return SWEEP_ORDERS[step % len(SWEEP_ORDERS)]
+
+
 def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
     """Carry every field back onto the grid; the order of the three sweeps changes every step.
 
@@ -26,7 +31,8 @@ def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
     if not heats:
         momentum.clear_array(runs, count, state.part.cell_shape[1:], lost)
     done = 0
-    for position, axis in enumerate(SWEEP_ORDERS[step % len(SWEEP_ORDERS)]):
+    order = sweep_order(step)
+    for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)
         _sweep_nodes(state, model, axis, lost)
         _sweep_cells(state, model, axis, done)
@@ -37,7 +43,15 @@ def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
                 model.cell_mass, model.energy_quantum))
             _close(state, model, ledger)
         state.boundary.hold([state.views[n] for n in VELOCITY])
-        state.exchange(state.ghosted)
+        state.exchange(("mass", "volume_fraction"))
+        if position < 2:
+            state.exchange(state.carried_cells, axis=order[position + 1])
+            state.exchange(VELOCITY, axis=order[position + 1])
+        else:
+            state.exchange(state.carried_cells, layers=1)
+            state.exchange(VELOCITY)
+            if heats:
+                state.exchange(("lost_energy",), layers=2)
 
 
 def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) -> None:
@@ -93,13 +107,13 @@ def _sweep_cells(state: State, model: Model, axis: int, done: int) -> None:
     shape = state.part.cell_shape[1:]
     ny, nx = shape
     _sweep_fields(state, model, axis, state.cell_window(), (nx * ny, nx), state.offsets(state.carried_cells),
-                  state.flat["mass"], state.flat["mass_flux"], state.empty)
+                  state.flat["mass"], state.flat["mass_flux"], None)
     remap.sweep_mass(runs, count, state.cell_window(), shape, axis, done, *state.sweep, state.flat["volume_flux"],
                      state.flat["mass_flux"], state.flat["mass"], state.flat["volume_fraction"])
 
 
 def _sweep_fields(state: State, model: Model, axis: int, window: tuple[int, ...], strides: tuple[int, int],
-                  offsets: np.ndarray, masses: np.ndarray, moved: np.ndarray, lost: np.ndarray) -> None:
+                  offsets: np.ndarray, masses: np.ndarray, moved: np.ndarray, lost: np.ndarray | None) -> None:
     ny, nx = (n + 1 for n in state.part.cell_shape[1:])
     moved_strides = (nx * ny, nx)
     second = float(model.settings.second_order)

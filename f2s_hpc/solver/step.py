@@ -40,7 +40,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     """Take one step, or stop all ranks with ``UnstableStep``. ``cycle_end``: duration of the cycle (s).
 
     Lagrangian step on the moving mesh, then remap back onto the fixed one; velocity at half steps, everything else
-    at whole steps. All ghosts are valid before and after.
+    at whole steps. Before and after, the ghosts that the next step reads are valid: all of mass, volume fraction and
+    velocity, the first layer of the other fields.
     """
     state.update_activity()
     clock.active_cell_steps += state.active_cells()
@@ -58,7 +59,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         state, model, ledger, max(size.rates[1], size.rates[2]))
     if model.settings.conduction:
         heat.conduct(state, model, dt)
-    limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger)
+    limits.gradient, limits.gradient_cell = lagrange.deform(
+        state, model, dt, ledger, remap.sweep_order(clock.steps)[0])
     remap.remap_all(state, model, clock.steps, ledger)
 
     clock.fastest_heavy = max(clock.fastest_heavy, limits.heavy_speed)
