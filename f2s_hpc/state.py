@@ -52,6 +52,7 @@ class State:
         self.active = np.ones(shape, dtype=np.uint8)
         self._previous = np.ones(shape, dtype=np.uint8)
         self._holds = np.zeros(shape, dtype=np.uint8)
+        self.fast_rows = np.zeros((nz + 1, ny + 1), dtype=np.uint8)
         self._runs = activity.empty_list(1024, 4)
         self._columns = [activity.empty_list(1024, 5), activity.empty_list(1024, 5)]
         self.run_count, self.column_counts = 0, [0, 0]

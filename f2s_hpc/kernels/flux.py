@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import inlined, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.plane import interface_normal, plane_distance, slab_volume
 
 FULL = 1.0 - 1e-12
@@ -36,6 +36,16 @@ def axes_left(done):
 
 
 @kernel
+def _full_fluxes(swept, low_fraction, high_fraction, low_mass, high_mass, flux):
+    """Fluxes of a row of faces whose donor is full: the swept volume. Behind an open side there is no mass."""
+    for i in range(swept.size):
+        along = swept[i] > 0.0
+        fraction = low_fraction[i] if along else high_fraction[i]
+        mass = low_mass[i] if along else high_mass[i]
+        flux[i] = swept[i] if (fraction >= FULL) & (mass > 0.0) else 0.0
+
+
+@kernel
 def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, fraction, flux):
     """Material volume (in cells) that crosses each low face along ``axis``, signed, into ``flux``.
 
@@ -52,18 +62,19 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     ax, ay, az = axes_left(done)
     sx, sy, sz = cell_strides[axis], cell_strides[(axis + 1) % 3], cell_strides[(axis + 2) % 3]
+    mass, fraction, flux, g = borrowed(mass), borrowed(fraction), borrowed(flux), borrowed(g)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
         first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        face = (k * (ny + 1) + j) * (nx + 1)
-        cell = (k * ny + j) * nx
-        for i in range(first, last):
-            swept = g[face + i]
-            donor = cell + i - back if swept > 0.0 else cell + i
-            # (behind an open side the volume fraction continues, but there is no mass)
-            flux[face + i] = swept if fraction[donor] >= FULL and mass[donor] > 0.0 else 0.0
+        if last <= first:
+            continue
+        face, n = (k * (ny + 1) + j) * (nx + 1) + first, last - first
+        cell = (k * ny + j) * nx + first
+        low = cell - back
+        _full_fluxes(g[face:face + n], fraction[low:low + n], fraction[cell:cell + n], mass[low:low + n],
+                     mass[cell:cell + n], flux[face:face + n])
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import borrowed, kernel
 from f2s_hpc.kernels.scratch import W
 from f2s_hpc.kernels.skin import surface_pressure
 from f2s_hpc.materials.pressure import pressure, stiffness
@@ -147,7 +147,11 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
     Returns the largest effective wave speed (m/s) over the owned cells with material, and its flat cell index.
     """
     ny, nx = shape
-    s, nothing = np.empty(ROWS * W), np.zeros(W)
+    scratch, nothing = np.empty(ROWS * W), np.zeros(W)
+    s, mass, fraction, energy = borrowed(scratch), borrowed(mass), borrowed(fraction), borrowed(energy)
+    u, v, w, fx, fy, fz = borrowed(u), borrowed(v), borrowed(w), borrowed(fx), borrowed(fy), borrowed(fz)
+    stress = (borrowed(stress[0]), borrowed(stress[1]), borrowed(stress[2]), borrowed(stress[3]), borrowed(stress[4]),
+              borrowed(stress[5]))
     area, per_quantum = 0.25 * dx * dx, 1.0 / power_quantum
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     fastest, where = 0.0, 0
@@ -188,4 +192,5 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
                     sums[0] += np.int64(s[POWER * W + i] * per_quantum)
                     if not s[SPEED * W + i] <= fastest:
                         fastest, where = s[SPEED * W + i], cell + i
+    scratch[0] = 0.0  # alive to here
     return fastest, where

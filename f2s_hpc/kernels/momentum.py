@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import borrowed, kernel
 
 SMALLEST_VELOCITY = 1e-20
 """Velocities below this (m/s) are rest."""
@@ -24,15 +24,16 @@ against each other is not resolved, and the little material around them would ta
 def clear_nodes(runs, count, shape, fx, fy, fz):
     """Zero the force arrays on every node that an active cell touches."""
     ny, nx = shape
+    fx, fy, fz = borrowed(fx), borrowed(fy), borrowed(fz)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         for kk in range(k, k + 2):
             for jj in range(j, j + 2):
                 row = (kk * (ny + 1) + jj) * (nx + 1)
-                for i in range(runs[r, 2], runs[r, 3] + 1):
-                    fx[row + i] = 0.0
-                    fy[row + i] = 0.0
-                    fz[row + i] = 0.0
+                first, end = row + runs[r, 2], row + runs[r, 3] + 1
+                fx[first:end] = 0.0
+                fy[first:end] = 0.0
+                fz[first:end] = 0.0
 
 
 @kernel
@@ -59,6 +60,40 @@ def kinetic_energy(runs, count, window, shape, weights, nodal, u, v, w, quantum,
 
 
 @kernel
+def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
+                    quantum, sums):
+    """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say."""
+    hold_u, hold_v, hold_w = holds
+    kinetic_before, kinetic_after, worked, withheld = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    for i in range(u.size):
+        m = full * nodal[i]
+        kick = dt / max(m, floor * full) if m > 0.0 else 0.0
+        moves = 1.0 if m > 0.0 else 0.0
+        u0, v0, w0 = u[i], v[i], w[i]
+        u1 = (moves * u0 + kick * fx[i]) * hold_u * free_u[i]
+        v1 = (moves * v0 + kick * fy[i]) * hold_v * free_v[i]
+        w1 = (moves * w0 + kick * fz[i]) * hold_w * free_w[i]
+        # far ahead of a wave numbers fall without end; subnormal ones would be a hundred times slower
+        # (the test is true for a number only: what is not one must be seen)
+        u1 = 0.0 if abs(u1) <= SMALLEST_VELOCITY else u1
+        v1 = 0.0 if abs(v1) <= SMALLEST_VELOCITY else v1
+        w1 = 0.0 if abs(w1) <= SMALLEST_VELOCITY else w1
+        u[i], v[i], w[i] = u1, v1, w1
+        share = plane * weights[i]
+        before = 0.5 * m * share * (u0 * u0 + v0 * v0 + w0 * w0)
+        after = 0.5 * m * share * (u1 * u1 + v1 * v1 + w1 * w1)
+        work = 0.5 * dt * share * (fx[i] * (u0 + u1) + fy[i] * (v0 + v1) + fz[i] * (w0 + w1))
+        kinetic_before += np.int64(before * quantum)
+        kinetic_after += np.int64(after * quantum)
+        worked += np.int64(work * quantum)
+        withheld += np.int64((work - (after - before)) * quantum)
+    sums[0] += kinetic_before
+    sums[1] += kinetic_after
+    sums[2] += worked
+    sums[3] += withheld
+
+
+@kernel
 def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free, nodal, fx, fy, fz, u, v, w,
                quantum, sums):
     """Advance the owned nodes by one kick, v += dt F / m, and hold the walls.
@@ -69,43 +104,49 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
     forces, and the part of that work that the mass floor withheld.
     """
     ny, nx = shape
-    full = density * dx * dx * dx
+    full, per_quantum = density * dx * dx * dx, 1.0 / quantum
+    nodal, fx, fy, fz, u, v, w = (borrowed(nodal), borrowed(fx), borrowed(fy), borrowed(fz), borrowed(u), borrowed(v),
+                                  borrowed(w))
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
-        row = (k * (ny + 1) + j) * (nx + 1)
-        plane = weights[2][k] * weights[1][j]
-        hold_u = free[1, 0, j] * free[2, 0, k]
-        hold_v = free[1, 1, j] * free[2, 1, k]
-        hold_w = free[1, 2, j] * free[2, 2, k]
-        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
-            n = row + i
-            m = full * nodal[n]
-            kick = dt / max(m, floor * full) if m > 0.0 else 0.0
-            moves = 1.0 if m > 0.0 else 0.0
-            u0, v0, w0 = u[n], v[n], w[n]
-            u1 = (moves * u0 + kick * fx[n]) * hold_u * free[0, 0, i]
-            v1 = (moves * v0 + kick * fy[n]) * hold_v * free[0, 1, i]
-            w1 = (moves * w0 + kick * fz[n]) * hold_w * free[0, 2, i]
-            # far ahead of a wave numbers fall without end; subnormal ones would be a hundred times slower
-            # (the test is true for a number only: what is not one must be seen)
-            u1 = 0.0 if abs(u1) <= SMALLEST_VELOCITY else u1
-            v1 = 0.0 if abs(v1) <= SMALLEST_VELOCITY else v1
-            w1 = 0.0 if abs(w1) <= SMALLEST_VELOCITY else w1
-            u[n], v[n], w[n] = u1, v1, w1
-            share = plane * weights[0][i]
-            before = 0.5 * m * share * (u0 * u0 + v0 * v0 + w0 * w0)
-            after = 0.5 * m * share * (u1 * u1 + v1 * v1 + w1 * w1)
-            work = 0.5 * dt * share * (fx[n] * (u0 + u1) + fy[n] * (v0 + v1) + fz[n] * (w0 + w1))
-            sums[0] += np.int64(before / quantum)
-            sums[1] += np.int64(after / quantum)
-            sums[2] += np.int64(work / quantum)
-            sums[3] += np.int64((work - (after - before)) / quantum)
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        if last <= first:
+            continue
+        a = (k * (ny + 1) + j) * (nx + 1) + first
+        b = a + last - first
+        holds = (free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k], free[1, 2, j] * free[2, 2, k])
+        _accelerate_row(dt, full, floor, weights[2][k] * weights[1][j], weights[0][first:last], holds,
+                        free[0, 0, first:last], free[0, 1, first:last], free[0, 2, first:last], nodal[a:b], fx[a:b],
+                        fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], per_quantum, sums)
 
 
 @kernel
-def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, v, w, du, dv, dw, lost):
+def _fastest_of_row(u, v, w):
+    """Return the largest squared speed of a row (0 for an empty one; NaN does not count)."""
+    most = 0.0
+    for i in range(u.size):
+        most = max(most, u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+    return most
+
+
+@kernel
+def mark_fast_rows(runs, count, shape, fast, u, v, w, rows):
+    """Note in ``rows`` (uint8 [k, j] of the nodes) which active rows hold a node faster than ``fast`` (m/s)."""
+    ny, nx = shape
+    u, v, w = borrowed(u), borrowed(v), borrowed(w)
+    rows[:] = 0
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        a = (k * (ny + 1) + j) * (nx + 1) + runs[r, 2]
+        b = a + runs[r, 3] - runs[r, 2] + 1
+        if not _fastest_of_row(u[a:b], v[a:b], w[a:b]) <= fast * fast:
+            rows[k, j] = 1
+
+
+@kernel
+def exchange_light(runs, count, window, shape, strength, limit, fast, rows, nodal, u, v, w, du, dv, dw, lost):
     """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
 
     A pair of neighbours along an axis shares momentum if both are lighter than ``limit`` full nodes
@@ -113,18 +154,27 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, nodal, u, 
     lighter mass times the strength times the velocity difference passes from one to the other, so the
     pair keeps its momentum and no pair overshoots (strength < 1/6). Adds to ``lost`` each node's half of the kinetic
     energy that its pairs lose (half full nodes (m/s)^2), unless that is an array of one number.
+    ``rows``: which rows hold a node beyond ``fast`` (:func:`mark_fast_rows`); elsewhere only light nodes are looked at.
     """
     ny, nx = shape
     strides = (1, nx + 1, (nx + 1) * (ny + 1))
-    everywhere, keeps = fast < math.inf, lost.size > 1
+    keeps = lost.size > 1
+    nodal, u, v, w, lost = borrowed(nodal), borrowed(u), borrowed(v), borrowed(w), borrowed(lost)
+    du, dv, dw = borrowed(du), borrowed(dv), borrowed(dw)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
         row = (k * (ny + 1) + j) * (nx + 1)
-        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+        everywhere = rows[k, j] | rows[k - 1, j] | rows[k + 1, j] | rows[k, j - 1] | rows[k, j + 1]
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        if last <= first:
+            continue
+        du[row + first:row + last] = 0.0
+        dv[row + first:row + last] = 0.0
+        dw[row + first:row + last] = 0.0
+        for i in range(first, last):
             n = row + i
-            du[n], dv[n], dw[n] = 0.0, 0.0, 0.0
             m = nodal[n]
             if m <= 0.0 or (m >= limit and not everywhere):
                 continue

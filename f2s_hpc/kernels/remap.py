@@ -298,6 +298,19 @@ def sweep_across_rows(columns, count, window, strides, moved_strides, second, me
 
 
 @kernel
+def _move_mass(left_x, left_y, left_z, gx0, gx1, gy0, gy1, gz0, gz1, volume_in, volume_out, mass_in, mass_out, mass,
+               fraction):
+    """Update a row of :func:`sweep_mass`; ``left``: per axis, its weight before and after the sweep."""
+    for i in range(mass.size):
+        dx, dy, dz = gx1[i] - gx0[i], gy1[i] - gy0[i], gz1[i] - gz0[i]
+        before = 1.0 + left_x[0] * dx + left_y[0] * dy + left_z[0] * dz
+        after = 1.0 + left_x[1] * dx + left_y[1] * dy + left_z[1] * dz
+        material = fraction[i] * before + (volume_in[i] - volume_out[i])
+        fraction[i] = min(max(material / after, 0.0), 1.0)
+        mass[i] += mass_in[i] - mass_out[i]
+
+
+@kernel
 def sweep_mass(runs, count, window, shape, axis, done, gx, gy, gz, flux, mass_flux, mass, fraction):
     """Move mass and material volume of the owned cells through their two faces along ``axis``.
 
@@ -306,21 +319,21 @@ def sweep_mass(runs, count, window, shape, axis, done, gx, gy, gz, flux, mass_fl
     ny, nx = shape
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     step = 1 if axis == 0 else (row1 if axis == 1 else plane1)
-    ax, ay, az = axes_left(done)
-    bx, by, bz = axes_left(done | (1 << axis))
+    before, after = axes_left(done), axes_left(done | (1 << axis))
+    left_x, left_y, left_z = (before[0], after[0]), (before[1], after[1]), (before[2], after[2])
+    gx, gy, gz, flux, mass_flux = borrowed(gx), borrowed(gy), borrowed(gz), borrowed(flux), borrowed(mass_flux)
+    mass, fraction = borrowed(mass), borrowed(fraction)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
-        face, cell = (k * (ny + 1) + j) * (nx + 1), (k * ny + j) * nx
-        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
-            n, c = face + i, cell + i
-            dx, dy, dz = gx[n + 1] - gx[n], gy[n + row1] - gy[n], gz[n + plane1] - gz[n]
-            before = 1.0 + ax * dx + ay * dy + az * dz
-            after = 1.0 + bx * dx + by * dy + bz * dz
-            material = fraction[c] * before + (flux[n] - flux[n + step])
-            fraction[c] = min(max(material / after, 0.0), 1.0)
-            mass[c] += mass_flux[n] - mass_flux[n + step]
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        if last <= first:
+            continue
+        a, c, n = (k * (ny + 1) + j) * (nx + 1) + first, (k * ny + j) * nx + first, last - first
+        _move_mass(left_x, left_y, left_z, gx[a:a + n], gx[a + 1:a + 1 + n], gy[a:a + n], gy[a + row1:a + row1 + n],
+                   gz[a:a + n], gz[a + plane1:a + plane1 + n], flux[a:a + n], flux[a + step:a + step + n],
+                   mass_flux[a:a + n], mass_flux[a + step:a + step + n], mass[c:c + n], fraction[c:c + n])
 
 
 @kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import inlined, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.plasticity import (
     AFTER,
     ELASTIC_AFTER,
@@ -32,6 +32,13 @@ from f2s_hpc.materials.pressure import pressure, stored_energy
 
 
 @kernel
+def _mean_of_four(a, b, c, d, quarter, out):
+    """A quarter of the sum of four rows, scaled."""
+    for i in range(out.size):
+        out[i] = quarter * ((a[i] + b[i]) + (c[i] + d[i]))
+
+
+@kernel
 def face_fluxes(runs, count, window, shape, dt_over_dx, u, v, w, gx, gy, gz):
     """Volume (in cells) that each low face of a cell sweeps in the step: the mean of its four nodes' velocity.
 
@@ -41,16 +48,19 @@ def face_fluxes(runs, count, window, shape, dt_over_dx, u, v, w, gx, gy, gz):
     ny, nx = shape
     quarter = 0.25 * dt_over_dx
     up, over = (nx + 1) * (ny + 1), nx + 1
+    u, v, w, gx, gy, gz = borrowed(u), borrowed(v), borrowed(w), borrowed(gx), borrowed(gy), borrowed(gz)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
-        row = (k * (ny + 1) + j) * (nx + 1)
         first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        for n in range(row + first, row + last):
-            gx[n] = quarter * ((u[n] + u[n + over]) + (u[n + up] + u[n + up + over]))
-            gy[n] = quarter * ((v[n] + v[n + 1]) + (v[n + up] + v[n + up + 1]))
-            gz[n] = quarter * ((w[n] + w[n + 1]) + (w[n + over] + w[n + over + 1]))
+        if last <= first:
+            continue
+        a, n = (k * (ny + 1) + j) * (nx + 1) + first, last - first
+        b, c, d = a + over, a + up, a + up + over
+        _mean_of_four(u[a:a + n], u[c:c + n], u[b:b + n], u[d:d + n], quarter, gx[a:a + n])
+        _mean_of_four(v[a:a + n], v[a + 1:a + n + 1], v[c:c + n], v[c + 1:c + n + 1], quarter, gy[a:a + n])
+        _mean_of_four(w[a:a + n], w[a + 1:a + n + 1], w[b:b + n], w[b + 1:b + n + 1], quarter, gz[a:a + n])
 
 
 @kernel
@@ -248,8 +258,13 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
     half full and the flat index of that cell.
     """
     ny, nx = shape
-    s, nothing, carried = np.empty(ROWS * W), np.zeros(W), energy.size > 1
-    place = np.empty(W, dtype=np.int64)
+    scratch, places = np.empty(ROWS * W), np.empty(W, dtype=np.int64)
+    s, place, nothing, carried = borrowed(scratch), borrowed(places), np.zeros(W), energy.size > 1
+    mass, fraction, peeq, temperature = borrowed(mass), borrowed(fraction), borrowed(peeq), borrowed(temperature)
+    u, v, w, shock, hourglass = borrowed(u), borrowed(v), borrowed(w), borrowed(shock), borrowed(hourglass)
+    node_heat, closing, energy = borrowed(node_heat), borrowed(closing), borrowed(energy)
+    stress = (borrowed(stress[0]), borrowed(stress[1]), borrowed(stress[2]), borrowed(stress[3]), borrowed(stress[4]),
+              borrowed(stress[5]))
     scale = dx * dx * dx / quantum
     fastest, where = 0.0, 0
     for r in range(count):
@@ -288,4 +303,5 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
             fastest, at = _steepest(n, fastest, s)
             if at >= 0:
                 where = cell + at
+    scratch[0], places[0] = 0.0, 0  # alive to here
     return math.sqrt(fastest), where

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+
 import numpy as np
 
 from f2s_hpc.fields import VELOCITY
@@ -53,10 +54,8 @@ def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
     state.exchange(VELOCITY, layers=1)
 
 
-def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float) -> tuple[float, float]:
+def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float, float]:
     """Exchange momentum between light neighbours and around nodes beyond the speed limit; cap racing fragments.
-
-    ``fastest``: largest speed of the last step over all ranks; far below the limit, nobody looks for fast nodes.
 
     Returns the largest speed (m/s) of light nodes and of heavy nodes on this rank.
     """
@@ -64,9 +63,9 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger, fastest: float)
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     nodal = state.flat["nodal_mass"]
-    fast = s.speed_limit if fastest > 0.8 * s.speed_limit else math.inf
-    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit, fast,
-                            nodal, *state.velocity, *state.force, state.lost)
+    momentum.mark_fast_rows(runs, count, shape, s.speed_limit, *state.velocity, state.fast_rows)
+    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit,
+                            s.speed_limit, state.fast_rows, nodal, *state.velocity, *state.force, state.lost)
     sums = np.zeros(4, dtype=np.int64)
     speeds = momentum.apply_exchange(
         runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, state.boundary.weights,

@@ -55,8 +55,7 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
 
     # from the middle of the last step to the middle of this one; at the start only the second half
     lagrange.kick(state, model, 0.5 * (dt + (clock.dt or 0.0)), ledger)
-    limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(
-        state, model, ledger, max(size.rates[1], size.rates[2]))
+    limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
     if model.settings.conduction:
         heat.conduct(state, model, dt)
     limits.gradient, limits.gradient_cell = lagrange.deform(
