@@ -1,7 +1,6 @@
-"""Where particles fly across the jet: the sech law of number over lateral position, and the speed law that goes with it.
+"""Where particles fly across the jet: the sech distribution of number over lateral position.
 
-Ge et al. 2026, section 5.1: the number follows a sech distribution (their figure 8a) and the speed a quadratic function
-(figure 8b) of the lateral distance; section 5.2.1 gives each particle the speed of its own place (figure 10).
+Ge et al. 2026, section 5.1 and figure 8a; section 5.2.1 and figure 10 place the particles of a track by it.
 """
 
 from __future__ import annotations
@@ -65,18 +64,3 @@ class SechProfile:
     def _angle(self, x: ArrayLike) -> np.ndarray:
         return gudermannian((np.asarray(x, dtype=np.float64) - self.centre) / self.width)
 
-
-@dataclass(frozen=True)
-class SpeedLaw:
-    """Speed over lateral position: v(x) = axis + curvature (x - centre)^2 (figure 8b of Ge et al. 2026).
-
-    ``axis`` in m/s, ``curvature`` in 1/(m s), ``centre`` in m.
-    """
-
-    axis: float
-    curvature: float
-    centre: float
-
-    def at(self, x: ArrayLike) -> np.ndarray:
-        """Return the speed (m/s) at ``x`` (m, any shape)."""
-        return self.axis + self.curvature * (np.asarray(x, dtype=np.float64) - self.centre) ** 2

@@ -28,7 +28,7 @@ SPREAD = 32.0
 SLOWEST_DIAMETER, FASTEST_DIAMETER = (85e-6, 580.0), (10e-6, 625.0)
 """Mean velocity (m/s) at the largest and the smallest diameter (m): section 5.1."""
 LATERAL_AXIS, LATERAL_CURVATURE = 3.0, 0.4e6
-"""Mean lateral velocity on the axis (m/s) and its growth (1/(m s)), chosen: 7.9 m/s at the edge, below the 10 stated."""
+"""Mean lateral velocity on the axis (m/s) and its growth (1/(m s)), chosen: 7.9 m/s at the edge (stated: below 10)."""
 LATERAL_SHAPE = 4.0
 """Shape of the gamma distribution of lateral velocities, chosen: a spread of half the mean, never negative."""
 
