@@ -176,8 +176,8 @@ def add_material(state: State, model: Model, added: np.ndarray,
     """Add ``added`` (full cells, local cells with ghosts) to the cells, stress-free; return its mass on this rank.
 
     The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s), one for all
-    or as three arrays like ``added``, is mixed into the nodes by momentum, ``temperature`` (K) into the cells by mass. Mass and kinetic energy enter the ledger.
-    Collective; all ghosts are valid after.
+    or as three arrays like ``added``, is mixed into the nodes by momentum, ``temperature`` (K) into the cells by mass.
+    Mass and kinetic energy enter the ledger. Collective; all ghosts are valid after.
     """
     flat, part = state.flat, state.part
     state.everything_active()

@@ -263,8 +263,8 @@ def _generate(scene, height: float, seeds: list[np.random.SeedSequence], message
     box = (float(scene.domain.size[0]), float(scene.domain.size[1]), height)
     jet = SechProfile(wanted.jet_centre, wanted.jet_width) if wanted.distribution == "sech" else None
     if jet:
-        messages.append(f"particles over x: sech of width {1e3 * jet.width:g} mm about {1e3 * jet.centre:g} mm; the box "
-                        f"holds {100 * float(jet.share(0.0, box[0])):.1f} % of such a jet")
+        messages.append(f"particles over x: sech of width {1e3 * jet.width:g} mm about {1e3 * jet.centre:g} mm; the "
+                        f"box holds {100 * float(jet.share(0.0, box[0])):.1f} % of such a jet")
     batches = []
     for number, seed in enumerate(seeds, start=1):
         generator = np.random.Generator(np.random.PCG64(seed))

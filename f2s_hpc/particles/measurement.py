@@ -1,4 +1,4 @@
-"""In-flight measurements of single particles (diameter, velocity, place across the jet) and the CSV files that hold them.
+"""In-flight measurements of single particles (diameter, velocity, place across the jet), and their CSV files.
 
 The format: comment lines that begin with ``#``, a header, then one particle per row. The header names each column with
 its unit, as in ``diameter [um],velocity [m/s],lateral position [mm],lateral velocity [m/s]``, in any order and any

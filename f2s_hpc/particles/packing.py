@@ -100,7 +100,10 @@ def _bins(box: tuple[float, float, float], count: int) -> tuple[np.ndarray, np.n
 
 def _find_place(radius: float, box: tuple[float, float, float], generator: np.random.Generator, attempts: int,
                 search, x: float | None) -> np.ndarray | None:
-    """Return the first free place (3,) among ``attempts`` random ones, ``None`` if all are taken; all at ``x`` if given."""
+    """Return the first free place (3,) among ``attempts`` random ones, ``None`` if all are taken.
+
+    With ``x`` (m), all places are there.
+    """
     low = np.array([0.0, 0.0, radius])
     span = np.array([box[0], box[1], box[2] - 2.0 * radius])
     if x is not None:

@@ -9,11 +9,8 @@ the fitted sech, but for the sech itself, which tells where the axis is.
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,13 +19,13 @@ from scipy.optimize import least_squares
 from scipy.special import xlogy
 from scipy.stats import t as student
 
+from f2s_hpc.config.stream import FORMAT
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.lateral import SechProfile, gudermannian
 from f2s_hpc.particles.measurement import Measurement
 
 CONFIDENCE = 0.90
 LEAST_BINS, MOST_BINS = 8, 60
-FORMAT = "f2s stream 1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,17 +261,4 @@ def as_record(fit: StreamFit) -> dict:
             "mean_m_s": {"value": fit.lateral_mean, "standard_error": fit.lateral_mean_error},
             "standard_deviation_m_s": fit.lateral_spread,
             **_polynomial_record(fit.lateral, ("axis_m_s", "slope_1_s", "curvature_1_m_s"))}
-    return record
-
-
-def read_record(path: str | os.PathLike) -> dict:
-    """Return what ``f2s stream --json`` wrote. Raises InputError, one line, for any other file."""
-    try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); 'f2s stream CSV --json FILE' writes one") from None
-    except ValueError:
-        record = None
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise InputError(f"{path}: not a file that 'f2s stream CSV --json FILE' has written")
     return record

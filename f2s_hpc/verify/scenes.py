@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-
 from f2s_hpc import mpi
 from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.load import parse_scene
