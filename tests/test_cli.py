@@ -225,7 +225,7 @@ def test_particles_writes_the_batches_that_a_run_would_use(capsys, workplace):
     plan = make_batches(load_scene("quickstart", ["batches.seed=5"]))
     mpi.barrier()
     files = sorted((workplace / "out").iterdir())
-    assert [path.name for path in files] == ["batch-01.csv", "batch-02.csv", "batch-03.csv"]
+    assert [path.name for path in files] == ["batch-01.csv", "batch-02.csv", "batch-03.csv", "batches.png"]
     for path, batch in zip(files, plan.batches):
         found = read_csv(path)
         assert all(np.array_equal(getattr(found, n), getattr(batch, n)) for n in "xyzr")

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 from scipy.special import xlogy
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from f2s_hpc.config.stream import FORMAT
@@ -67,8 +68,9 @@ class NumberFit:
     """Number of particles per bin of lateral position, N(x) = peak sech((x - centre) / width).
 
     ``peak`` (particles per m on the axis), ``centre``, ``width`` (m) and ``errors`` (the three standard errors, in
-    this order); ``r2`` over the bins; ``dispersion``: variance of the bins over that of a Poisson count, at least 1,
-    which widens errors and bands; ``edges`` (bins + 1,) and ``counts`` (bins,) are what was fitted.
+    this order); ``r2`` over the bins; ``edges`` (bins + 1,) and ``counts`` (bins,) are what was fitted.
+    ``dispersion``: variance of the bins over that of a Poisson count, which widens errors and bands: chi2 / (bins - 3)
+    where chance alone gives so much less than once in twenty times, else 1.
     """
 
     peak: float
@@ -95,14 +97,16 @@ class NumberFit:
     def band(self, x: ArrayLike) -> np.ndarray:
         """Return the half width of the 90 % prediction band of a bin's count around ``x`` (m).
 
-        t sqrt(dispersion N + J C J^T): the count's own scatter and that of the curve, J the slopes of the curve by
-        peak, centre and width, C their covariance.
+        q sqrt(dispersion N + J C J^T): the count's own scatter and that of the curve, J the slopes of the curve by
+        peak, centre and width, C their covariance; q the 0.95 quantile, normal where the dispersion is that of chance,
+        else Student's with bins - 3 degrees of freedom.
         """
         half = 0.5 * (self.edges[1] - self.edges[0])
         x = np.asarray(x, dtype=np.float64)
         slopes = _slopes(np.array([self.peak, self.centre, self.width]), x - half, x + half)
         own = np.einsum("...i,ij,...j->...", slopes, self.covariance, slopes)
-        return student.ppf(0.5 + 0.5 * CONFIDENCE, self.counts.size - 3) * np.sqrt(self.dispersion * self.at(x) + own)
+        freedom = self.counts.size - 3 if self.dispersion > 1.0 else np.inf
+        return student.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(self.dispersion * self.at(x) + own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +212,8 @@ def fit_number(position: np.ndarray, label: str, bins: int | None = None) -> Num
     parameters = best.x * units
     number = _expected(parameters, edges[:-1], edges[1:])
     slopes = _slopes(parameters, edges[:-1], edges[1:]) * units
-    dispersion = max(1.0, float(np.square(counts - number).dot(1.0 / number)) / (bins - 3))
+    scatter = float(np.square(counts - number).dot(1.0 / number))
+    dispersion = scatter / (bins - 3) if scatter > chi2.ppf(0.95, bins - 3) else 1.0
     covariance = dispersion * np.linalg.inv(slopes.T @ (slopes / number[:, None])) * np.outer(units, units)
     return NumberFit(*(float(p) for p in parameters), np.sqrt(np.diag(covariance)), _r2(counts, counts - number),
                      dispersion, edges, counts, covariance)
