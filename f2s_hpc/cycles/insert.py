@@ -181,7 +181,10 @@ def add_material(state: State, model: Model, added: np.ndarray,
     """
     flat, part = state.flat, state.part
     state.everything_active()
-    state.boundary.fill(added.reshape(-1), _ALONE, ("mass",), state.active)
+    own = isinstance(velocity[0], np.ndarray)
+    # a mirrored normal velocity keeps its sign here, which does not matter: the nodes on its wall are held
+    for array in (added, *(velocity if own else ())):
+        state.boundary.fill(array.reshape(-1), _ALONE, ("mass",), state.active)
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
@@ -189,9 +192,7 @@ def add_material(state: State, model: Model, added: np.ndarray,
     if ORIGIN in state.views:
         new = added > 0.0
         state.views[ORIGIN][new] += added[new] / state.views["mass"][new]  # the old share was diluted just now
-    if isinstance(velocity[0], np.ndarray):
-        for component in velocity:  # the mirror's own sign along its normal does not matter: the wall's nodes are held
-            state.boundary.fill(component.reshape(-1), _ALONE, ("mass",), state.active)
+    if own:
         paint.merge_moving_nodes(part.cell_shape, added.reshape(-1), flat["mass"],
                                  tuple(component.reshape(-1) for component in velocity), *state.velocity)
     else:
