@@ -13,7 +13,7 @@ from scipy.stats import kstest, linregress
 
 from f2s_hpc import mpi
 from f2s_hpc.cli.main import main
-from f2s_hpc.config import load_scene
+from f2s_hpc.config import dump_scene, load_scene, parse_scene, scene_text
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles import synthetic
 from f2s_hpc.particles.feed import TABLE_4, Feed, count_particles
@@ -219,7 +219,10 @@ def test_stream_prints_the_fits_and_writes_json_and_picture(capsys, shared_path)
 
 
 def test_a_scene_takes_the_fits(tmp_path, monkeypatch):
-    """The dumped scene holds the numbers, not the file; what the scene says itself wins."""
+    """The scene holds the numbers, not the file; what is said nearer to the run wins.
+
+    Fails when ``take_stream`` lets a scene's own keys win over a file named on the command line.
+    """
     monkeypatch.chdir(tmp_path)
     assert main(["stream", "synthetic", "--json", "fits.json"]) == 0
     fit = fit_stream(read_measurement("synthetic"))
@@ -229,6 +232,12 @@ def test_a_scene_takes_the_fits(tmp_path, monkeypatch):
     assert scene.batches.distribution == "sech"
     assert scene.batches.jet_width == fit.number.width
     assert scene.batches.jet_centre == 0.0
+    assert load_scene("track-160", ["particles.stream=fits.json"]).particles.speed == fit.speed.coefficients[0]
+    (tmp_path / "own.toml").write_text(scene_text("section4").replace(
+        'speed = "615 m/s"', 'speed = "615 m/s"\nstream = "fits.json"'), encoding="utf-8")
+    scene = load_scene("own.toml")
+    assert (scene.particles.speed, scene.batches.jet_width) == (615.0, fit.number.width)
+    assert parse_scene(dump_scene(scene), "again") == scene
     (tmp_path / "other.json").write_text("{}", encoding="utf-8")
     for name, words in (("other.json", "not a file that"), ("none.json", "cannot be read")):
         with pytest.raises(InputError, match=words):

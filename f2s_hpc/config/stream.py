@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import pathlib
+from collections.abc import Sequence
 
 from f2s_hpc import units
 from f2s_hpc.errors import InputError
@@ -47,10 +48,12 @@ def scene_keys(record: dict, source: str | os.PathLike) -> dict[str, dict[str, s
             "batches": {"distribution": "sech", "jet_width": units.show(values[2], "length")}}
 
 
-def take_stream(raw: dict, folder: pathlib.Path) -> None:
+def take_stream(raw: dict, folder: pathlib.Path, overrides: Sequence[str]) -> None:
     """Put the fits of the file named by ``particles.stream`` into ``raw``, a scene as tables, in place of that key.
 
-    Keys that the scene gives itself win. A relative path counts from ``folder``. Raises InputError.
+    What is said nearer to the run wins: a scene's own keys over a file that the scene names, a file named on the
+    command line (``overrides``: the keys set there) over the scene's keys, other keys set there over the file.
+    A relative path counts from ``folder``. Raises InputError.
     """
     particles = raw.get("particles")
     if not isinstance(particles, dict) or "stream" not in particles:
@@ -62,4 +65,6 @@ def take_stream(raw: dict, folder: pathlib.Path) -> None:
     for section, keys in scene_keys(read_record(path), path).items():
         table = raw.setdefault(section, {})
         if isinstance(table, dict):
-            raw[section] = keys | table
+            kept = {key: value for key, value in table.items()
+                    if KEY not in overrides or f"{section}.{key}" in overrides}
+            raw[section] = table | keys | kept
