@@ -41,8 +41,9 @@ def load_scene(name_or_path: str | os.PathLike, overrides: Sequence[str] = ()) -
     ``overrides`` are ``key.path=value`` texts; a value is read as TOML if that works, else as plain
     text. An override that gives ``batches.files`` or ``batches.spheres`` replaces the scene's other
     sources of particles. ``particles.stream`` names a file of ``f2s stream --json``: its jet width and speed law stand
-    in the result; keys beside it in the scene, or in ``overrides``, win over those of the file. Paths of files are relative to the TOML file, and
-    for built-in scenes and overrides to the current directory; they are absolute in the result.
+    in the result; keys beside it in the scene, or in ``overrides``, win over those of the file. Paths of files are
+    relative to the TOML file, and for built-in scenes and overrides to the current directory; they are absolute in the
+    result.
 
     Raises InputError, one line that names the file or ``--set key``, the key and what would be right.
     """
