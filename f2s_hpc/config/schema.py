@@ -119,7 +119,7 @@ class Particles(Section):
         return tuple(self.speed * d for d in self.direction)
 
     def speed_at(self, distance):
-        """Return the speed (m/s) at ``distance`` (m, number or array) along x from the jet's axis.
+        """Return the speed (m/s) at ``distance`` (m, a number or an array) along x from the jet's axis.
 
         speed + speed_curvature distance^2, as in figure 8b of Ge et al. 2026.
         """
@@ -138,7 +138,7 @@ class Batches(Section):
     distribution: Literal["uniform", "sech"] = Field(
         default="uniform", description="number of generated particles over x: even, or the sech of a jet")
     jet_width: PositiveLength | None = Field(
-        default=None, description="width of the sech: 0.76 of the distance between its half-height points, m")
+        default=None, description="width of the sech, 0.76 of the distance from its axis to half its height, m")
     jet_centre: Length = Field(default=0.0, description="x of the jet's axis, for sech and speed curvature, m")
     seed: Whole = Field(default=1, ge=0, lt=2**63, description="seed of sizes, positions and order")
     gap_factor: Number = Field(default=1.02, ge=1, description="least centre distance over the sum of radii")
