@@ -35,7 +35,7 @@ def build_model(scene: Scene) -> Model:
     eos = params.LinearPressure(m.bulk_modulus)
     if m.pressure.model == "mie_grueneisen":
         eos = params.MieGrueneisen(m.density, m.pressure.sound_speed, m.pressure.slope_s, m.pressure.gamma)
-    speed = max(scene.particles.speed, 1.0)
+    speed = max(scene.top_speed, 1.0)
     settings = Settings(
         courant=n.courant, remap_courant=n.remap_courant, strain_per_step=n.strain_per_step,
         viscosity=(n.shock_viscosity_linear, n.shock_viscosity_quadratic), viscous_heating=n.viscous_heating,

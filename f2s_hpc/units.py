@@ -43,6 +43,8 @@ DIMENSIONS: dict[str, Dimension] = {d.name: d for d in (
     Dimension("conductivity", (1, 1, -3, -1), "385 W/m/K", ("W/m/K",)),
     Dimension("rate", (0, 0, -1, 0), "1e4 1/s", ("1/s",)),
     Dimension("inverse temperature", (0, 0, 0, -1), "0.0043 1/K", ("1/K",)),
+    Dimension("speed curvature", (-1, 0, -1, 0), "-6 m/s/mm2", ("m/s/mm2",)),
+    Dimension("mass flow", (0, 1, -1, 0), "42.2 g/min", ("g/min",)),
     Dimension("volume", (3, 0, 0, 0), "0.04 mm3", ("mm3",)),
     Dimension("mass", (0, 1, 0, 0), "0.127 ug", ("kg", "g", "mg", "ug", "ng")),
     Dimension("energy", (2, 1, -2, 0), "24 uJ", ("J", "mJ", "uJ", "nJ")),

@@ -89,7 +89,7 @@ def test_scenes_lists_all_built_in_scenes(capsys):
     assert all(len(line.split()) > 3 for line in lines)
 
 
-@pytest.mark.parametrize("name", ["splat", "section4", "section4-standard", "quickstart"])
+@pytest.mark.parametrize("name", ["splat", "section4", "section4-standard", "quickstart", "track-120", "multitrack"])
 def test_a_printed_scene_loads_as_the_scene(capsys, tmp_path, name):
     assert main(["scenes", name]) == 0
     path = tmp_path / "edited.toml"
@@ -225,7 +225,7 @@ def test_particles_writes_the_batches_that_a_run_would_use(capsys, workplace):
     plan = make_batches(load_scene("quickstart", ["batches.seed=5"]))
     mpi.barrier()
     files = sorted((workplace / "out").iterdir())
-    assert [path.name for path in files] == ["batch-01.csv", "batch-02.csv", "batch-03.csv"]
+    assert [path.name for path in files] == ["batch-01.csv", "batch-02.csv", "batch-03.csv", "batches.png"]
     for path, batch in zip(files, plan.batches):
         found = read_csv(path)
         assert all(np.array_equal(getattr(found, n), getattr(batch, n)) for n in "xyzr")

@@ -306,7 +306,7 @@ def test_several_problems_are_counted_and_a_typo_comes_first(scene_file):
 
 def test_files_that_are_no_scenes(tmp_path):
     assert 'did you mean "section4"' in message("sektion4")
-    assert "possible: quickstart, section4" in message("xyz")
+    assert "possible: multitrack, quickstart, section4" in message("xyz")
     assert "no such file" in message(str(tmp_path / "missing.toml"))
     assert "not a file" in message(str(tmp_path))
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00title")

@@ -35,6 +35,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("particles", "write the batches of a scene as CSV files")
     scene_arguments(sub)
     sub.add_argument("--out", metavar="DIR", required=True)
+    _stream_arguments(command)
     command("inspect", "print the cycle table of a run").add_argument("folder", metavar="DIR")
     sub = command("compare", "compare two runs field by field at each cycle")
     sub.add_argument("first", metavar="DIR")
@@ -43,6 +44,13 @@ def _parser() -> argparse.ArgumentParser:
     _verify_arguments(command("verify", "measure the solver against known solutions, and judge it by its bars"))
     command("doctor", "tell what is installed, and write and read a file on two ranks")
     return parser
+
+
+def _stream_arguments(command) -> None:
+    # argparse reads these only: the modules behind them must not be needed to start
+    from f2s_hpc.cli import stream_options
+    stream_options.stream(command("stream", "fit the particle stream to particles measured in flight"))
+    stream_options.feed(command("feed", "tell how many particles hit the strip at a scanning speed"))
 
 
 def _verify_arguments(sub: argparse.ArgumentParser) -> None:
@@ -99,6 +107,16 @@ def _particles(arguments: argparse.Namespace) -> int:
     return tasks.write_particles(tasks.load(arguments.scene, arguments.overrides), arguments.out)
 
 
+def _stream(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import stream
+    return stream.stream(arguments)
+
+
+def _feed(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import stream
+    return stream.feed(arguments)
+
+
 def _inspect(arguments: argparse.Namespace) -> int:
     from f2s_hpc.cli import tasks
     return tasks.inspect(arguments.folder)
@@ -136,7 +154,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 
 _COMMANDS = {"scenes": _scenes, "check": _check, "run": _run, "resume": _resume, "particles": _particles,
-             "inspect": _inspect, "compare": _compare, "verify": _verify}
+             "stream": _stream, "feed": _feed, "inspect": _inspect, "compare": _compare, "verify": _verify}
 
 
 def main(arguments: list[str]) -> int:

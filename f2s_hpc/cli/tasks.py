@@ -6,6 +6,7 @@ import os
 import pathlib
 
 from f2s_hpc import fields, mpi
+from f2s_hpc.analysis.stream import draw_batches
 from f2s_hpc.analysis.table import format_table
 from f2s_hpc.config import describe, load_scene, scene_hash
 from f2s_hpc.config.load import parse_scene
@@ -20,6 +21,8 @@ from f2s_hpc.particles.batch import clipped_volume, make_batches, write_csv
 
 EXIT_REQUEUE = 75
 """Exit code of a run that stopped early with a good checkpoint: run ``f2s resume`` to go on."""
+
+BATCH_PICTURE = "batches.png"
 
 
 def load(name: str, overrides: list[str]) -> Scene:
@@ -106,7 +109,11 @@ def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
 
 
 def write_particles(scene: Scene, out: str) -> int:
-    """Write every batch of a scene as ``batch-NN.csv`` (x,y,z,r in mm) into the folder ``out``; rank 0 only."""
+    """Write every batch of a scene as ``batch-NN.csv`` into the folder ``out``, and a picture of them; rank 0 only.
+
+    Columns x,y,z,r in mm and, where the speed depends on the place, vx,vy,vz in m/s. The picture shows number and
+    speed over x (figure 10 of Ge et al. 2026).
+    """
     plan = mpi.run_together(make_batches, scene)
 
     def write() -> list[str]:
@@ -121,7 +128,8 @@ def write_particles(scene: Scene, out: str) -> int:
             write_csv(path, batch)
             volume = clipped_volume(batch, x, y, z)
             lines.append(f"{path}: {batch.count} spheres, {1e6 * volume / (x * y):.2f} um of dense height")
-        return lines
+        draw_batches(plan.batches, scene.domain.size[0], scene.particles.speed, folder / BATCH_PICTURE)
+        return [*lines, f"picture {folder / BATCH_PICTURE}"]
 
     lines = mpi.run_together(write)
     for line in [*lines, *(f"note: {m}" for m in plan.messages),

@@ -59,7 +59,7 @@ def _particles_line(scene: Scene, particles: int | None, painted_volume: float |
     text = {"files": f"{_count(batches.number, 'batch file')}",
             "spheres": f"{_count(len(batches.spheres), 'listed sphere')}",
             "generated": f"batches to generate: {batches.number:,} of {_count(batches.particles, 'particle')}, "
-                         f"seed {batches.seed}"}[batches.source]
+                         f"seed {batches.seed}{_spread(scene)}"}[batches.source]
     total = particle_count(scene) if particles is None else particles
     text += "" if total is None else f"; {_count(total, 'particle')} in the whole run"
     if painted_volume is not None:
@@ -67,6 +67,19 @@ def _particles_line(scene: Scene, particles: int | None, painted_volume: float |
         text += (f"; painted volume {pretty(painted_volume, 'volume')}, "
                  f"{pretty(painted_volume / area, 'length')} of dense height")
     return text
+
+
+def _spread(scene: Scene) -> str:
+    batches = scene.batches
+    if batches.distribution == "uniform":
+        return ""
+    return (f", sech over x of width {pretty(batches.jet_width, 'length')} about "
+            f"{pretty(batches.jet_centre, 'length')}")
+
+
+def _speed(scene: Scene) -> str:
+    low, high = scene.speed_range
+    return f"{pretty(high, 'speed')}" if low == high else f"{low:.1f} to {high:.1f} m/s over x, by the speed law"
 
 
 def _parts(cells_per_rank: Sequence[tuple[int, int, int]], bytes_per_cell: float) -> list[tuple[str, str]]:
@@ -96,6 +109,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("ranks", f"{ranks}"),
         *_parts(cells_per_rank, bytes_per_cell),
         ("particles", _particles_line(scene, particles, painted_volume)),
+        ("speed", _speed(scene)),
         ("cycles", f"{_count(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
         ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "
                        f"{scene.material.longitudinal_sound_speed:.0f} m/s)")),

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from f2s_hpc.config.messages import did_you_mean, one_line, origin
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.config.stream import KEY, take_stream
 from f2s_hpc.errors import InputError
 from f2s_hpc.materials import library
 
@@ -39,14 +40,17 @@ def load_scene(name_or_path: str | os.PathLike, overrides: Sequence[str] = ()) -
 
     ``overrides`` are ``key.path=value`` texts; a value is read as TOML if that works, else as plain
     text. An override that gives ``batches.files`` or ``batches.spheres`` replaces the scene's other
-    sources of particles. Paths of CSV files are relative to the TOML file, and for built-in scenes
-    and overrides to the current directory; they are absolute in the result.
+    sources of particles. ``particles.stream`` names a file of ``f2s stream --json``: its jet width and speed law stand
+    in the result; keys beside it in the scene, or in ``overrides``, win over those of the file. Paths of files are
+    relative to the TOML file, and for built-in scenes and overrides to the current directory; they are absolute in the
+    result.
 
     Raises InputError, one line that names the file or ``--set key``, the key and what would be right.
     """
     raw, source, folder = _read(os.fspath(name_or_path))
     keys = [_override(raw, text) for text in overrides]
     _drop_replaced_sources(raw, keys)
+    take_stream(raw, pathlib.Path.cwd() if KEY in keys else folder, keys)
     _add_library_entry(raw, source, keys)
     _resolve_files(raw, source, folder, keys)
     return _validated(raw, source, keys)
@@ -60,6 +64,7 @@ def parse_scene(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     """
     raw = _parse_toml(text, source)
     keys = [_override(raw, override) for override in overrides]
+    take_stream(raw, pathlib.Path.cwd(), keys)
     _add_library_entry(raw, source, keys)
     return _validated(raw, source, keys)
 

@@ -17,6 +17,7 @@ from f2s_hpc.config.quantities import (
     PositiveLength,
     Section,
     Speed,
+    SpeedCurvature,
     Switch,
     Temperature,
     Time,
@@ -96,7 +97,9 @@ class Substrate(Section):
 class Particles(Section):
     """The particles at the moment they are painted."""
 
-    speed: Speed = Field(description="speed, m/s")
+    speed: Speed = Field(description="speed on the jet's axis, and anywhere without a curvature, m/s")
+    speed_curvature: SpeedCurvature = Field(
+        default=0.0, description="growth of the speed with the squared distance along x from the jet's axis, 1/(m s)")
     direction: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, -1.0),
                                                      description="flight direction (x, y, z); normalised")
     temperature: Temperature = Field(description="initial temperature, K")
@@ -112,8 +115,15 @@ class Particles(Section):
 
     @property
     def velocity(self) -> tuple[float, float, float]:
-        """Velocity (x, y, z), m/s."""
+        """Velocity (x, y, z) on the jet's axis, m/s."""
         return tuple(self.speed * d for d in self.direction)
+
+    def speed_at(self, distance):
+        """Return the speed (m/s) at ``distance`` (m, a number or an array) along x from the jet's axis.
+
+        speed + speed_curvature distance^2, as in figure 8b of Ge et al. 2026.
+        """
+        return self.speed + self.speed_curvature * (distance * distance)
 
 
 class Batches(Section):
@@ -121,9 +131,15 @@ class Batches(Section):
 
     count: Whole = Field(default=0, ge=0, description="number of batches to generate")
     particles: Whole = Field(default=0, ge=0, description="particles in each generated batch")
-    files: tuple[str, ...] = Field(default=(), description="CSV files (x,y,z,r in mm), one per batch")
+    files: tuple[str, ...] = Field(default=(), description="CSV files (x,y,z,r in mm; with own velocities vx,vy,vz "
+                                                           "in m/s or without), one per batch")
     spheres: tuple[tuple[Length, Length, Length, PositiveLength], ...] = Field(
         default=(), description="spheres [x, y, z, r], m; z from the bottom of the particle layer")
+    distribution: Literal["uniform", "sech"] = Field(
+        default="uniform", description="number of generated particles over x: even, or the sech of a jet")
+    jet_width: PositiveLength | None = Field(
+        default=None, description="width of the sech, 0.76 of the distance from its axis to half its height, m")
+    jet_centre: Length = Field(default=0.0, description="x of the jet's axis, for sech and speed curvature, m")
     seed: Whole = Field(default=1, ge=0, lt=2**63, description="seed of sizes, positions and order")
     gap_factor: Number = Field(default=1.02, ge=1, description="least centre distance over the sum of radii")
     attempts: Whole = Field(default=2000, ge=1, description="tries to place one sphere before giving up")
@@ -152,6 +168,8 @@ class Batches(Section):
             raise wrong("", "has no particles: give files, or spheres, or both count and particles above 0")
         if len(given) > 1:
             raise wrong("", f"has {' as well as '.join(given)}; keep exactly one source of particles")
+        if self.distribution == "sech" and self.jet_width is None:
+            raise wrong("jet_width", 'is missing: a sech distribution needs it, for example jet_width = "1.4 mm"')
         sizes = ("diameter_min", "diameter_d10", "diameter_d50", "diameter_d90", "diameter_max")
         for low, high in itertools.pairwise(sizes):
             if getattr(self, low) >= getattr(self, high):
@@ -272,6 +290,14 @@ def _check_temperatures(scene: Scene) -> None:
             raise wrong(key, f"must be below the melting temperature ({units.pretty(melting, 'temperature')})")
 
 
+def _check_speeds(scene: Scene) -> None:
+    """Raise if the speed law stops or turns particles somewhere in the box."""
+    low, _ = scene.speed_range
+    if low <= 0.0:
+        raise wrong("particles.speed_curvature", f"turns the speed into {low:.4g} m/s at a side of the box; "
+                                                 "it must stay above 0 everywhere")
+
+
 class Scene(Section):
     """All of a simulation."""
 
@@ -294,11 +320,24 @@ class Scene(Section):
             raise wrong("cycles.count", "must be 1 in the standard scheme, which paints all batches at once")
         _check_spheres(self)
         _check_temperatures(self)
+        _check_speeds(self)
         if "internal_energy" in self.output.fields and not self.mie_grueneisen:
             raise wrong("output.fields", 'internal_energy exists only with material.pressure.model = "mie_grueneisen"')
         if fields.ORIGIN in self.output.fields and not self.output.origin:
             raise wrong("output.fields", f"{fields.ORIGIN} exists only with output.origin = true")
         return self
+
+    @property
+    def speed_range(self) -> tuple[float, float]:
+        """Lowest and highest speed (m/s) that the speed law has in the box."""
+        low, high = -self.batches.jet_centre, self.domain.size[0] - self.batches.jet_centre
+        speeds = [self.particles.speed_at(distance) for distance in (low, high, min(max(0.0, low), high))]
+        return min(speeds), max(speeds)
+
+    @property
+    def top_speed(self) -> float:
+        """Highest speed (m/s) of any particle: what the numerics' speed limits and the energies refer to."""
+        return self.speed_range[1]
 
     @property
     def mie_grueneisen(self) -> bool:

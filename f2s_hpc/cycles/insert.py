@@ -117,7 +117,7 @@ def _clear_of_material(state: State, batch: Batch, layer: tuple[float, float], s
     width, depth, _ = state.part.box.extents
     generator = np.random.Generator(np.random.PCG64(seed))
     wanted = batch
-    batch = Batch(*(a.copy() for a in (batch.x, batch.y, batch.z, batch.r)))
+    batch = batch.chosen(slice(None))
     overlapping = _overlaps(state, batch, np.ones(batch.count, dtype=np.bool_)) > OVERFILL
     for attempt in range(ROUNDS):
         if not overlapping.any():
@@ -138,19 +138,20 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
                 temperature: float, ledger: Ledger, seed: int) -> InsertReport:
     """Put a batch (z from ``layer_bottom``, m) into the box, stress-free, at ``velocity`` and ``temperature`` (K).
 
+    Spheres with velocities of their own fly at those instead of ``velocity`` (m/s).
     The parts of spheres beyond the sides of the box are cut off, as the sides are mirrors.
     Collective; all ghosts are valid before and after.
     """
     report = InsertReport(spheres=batch.count)
-    asked = Batch(batch.x, batch.y, batch.z + layer_bottom, batch.r)
+    asked = batch.raised(layer_bottom)
     layer = (layer_bottom, state.part.box.extents[2])
     placed, blocked = _clear_of_material(state, asked, layer, seed)
     moves = np.sqrt((placed.x - asked.x) ** 2 + (placed.y - asked.y) ** 2 + (placed.z - asked.z) ** 2)[~blocked]
     report.moved, report.largest_move = int((moves > 0.0).sum()), float(moves.max(initial=0.0))
     if blocked.any():
         report.spheres -= int(blocked.sum())
-        report.deferred = Batch(*(a[blocked] for a in (batch.x, batch.y, batch.z, batch.r)))
-        placed = Batch(*(a[~blocked] for a in (placed.x, placed.y, placed.z, placed.r)))
+        report.deferred = batch.chosen(blocked)
+        placed = placed.chosen(~blocked)
     report.positions = placed
     _add(state, model, placed, velocity, temperature, ledger, report)
     return report
@@ -159,22 +160,31 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
          ledger: Ledger, report: InsertReport) -> None:
     added = np.zeros(state.part.cell_shape)
-    paint.add_spheres(batch.x, batch.y, batch.z, batch.r, _offset(state), state.part.box.dx, added)
+    spheres = (batch.x, batch.y, batch.z, batch.r)
+    if batch.velocity is None:
+        paint.add_spheres(*spheres, _offset(state), state.part.box.dx, added)
+    else:
+        velocity = tuple(np.zeros(state.part.cell_shape) for _ in range(3))
+        paint.add_moving_spheres(*spheres, batch.velocity, _offset(state), state.part.box.dx, added, *velocity)
     quanta = add_material(state, model, added, velocity, temperature, ledger)
     report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3
 
 
-def add_material(state: State, model: Model, added: np.ndarray, velocity: tuple[float, float, float],
+def add_material(state: State, model: Model, added: np.ndarray,
+                 velocity: tuple[float, float, float] | tuple[np.ndarray, np.ndarray, np.ndarray],
                  temperature: float, ledger: Ledger) -> int:
     """Add ``added`` (full cells, local cells with ghosts) to the cells, stress-free; return its mass on this rank.
 
-    The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s) is mixed into the
-    nodes by momentum, ``temperature`` (K) into the cells by mass. Mass and kinetic energy enter the ledger.
-    Collective; all ghosts are valid after.
+    The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s), one for all
+    or as three arrays like ``added``, is mixed into the nodes by momentum, ``temperature`` (K) into the cells by mass.
+    Mass and kinetic energy enter the ledger. Collective; all ghosts are valid after.
     """
     flat, part = state.flat, state.part
     state.everything_active()
-    state.boundary.fill(added.reshape(-1), _ALONE, ("mass",), state.active)
+    own = isinstance(velocity[0], np.ndarray)
+    # a mirrored normal velocity keeps its sign here, which does not matter: the nodes on its wall are held
+    for array in (added, *(velocity if own else ())):
+        state.boundary.fill(array.reshape(-1), _ALONE, ("mass",), state.active)
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
@@ -182,7 +192,11 @@ def add_material(state: State, model: Model, added: np.ndarray, velocity: tuple[
     if ORIGIN in state.views:
         new = added > 0.0
         state.views[ORIGIN][new] += added[new] / state.views["mass"][new]  # the old share was diluted just now
-    paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
+    if own:
+        paint.merge_moving_nodes(part.cell_shape, added.reshape(-1), flat["mass"],
+                                 tuple(component.reshape(-1) for component in velocity), *state.velocity)
+    else:
+        paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
     state.boundary.hold([state.views[n] for n in VELOCITY])
     state.everything_active()
     state.exchange(state.ghosted)

@@ -118,7 +118,7 @@ class RunFolder:
                 picture.draw(fields, self.scene.domain.cell_size, self.scene.domain.substrate_height, self.scene.title,
                              f"{summary['particles']} particles, {1e6 * summary['time_s']:.2f} us, dense height "
                              f"{height:.1f} um, cells of {1e6 * self.scene.domain.cell_size:g} um", path,
-                             slow_speed=measure.SLOW * self.scene.particles.speed)
+                             slow_speed=measure.SLOW * self.scene.top_speed)
         mpi.barrier()
         return path
 

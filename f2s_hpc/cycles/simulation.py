@@ -19,7 +19,7 @@ from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint
-from f2s_hpc.particles.batch import Batch, BatchPlan
+from f2s_hpc.particles.batch import Batch, BatchPlan, join
 from f2s_hpc.solver.step import Clock, advance
 
 RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
@@ -44,7 +44,7 @@ class Simulation:
         self.batch_is_in = False
         self.particles = 0
         self.moved = 0
-        self.waiting = _empty_batch()
+        self.waiting = join([])
         self.rows: list[dict] = []
         self.frame = 0
         self.next_frame_time = scene.output.frame_interval or np.inf
@@ -103,7 +103,7 @@ class Simulation:
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,
-            "waiting": [a.tolist() for a in (self.waiting.x, self.waiting.y, self.waiting.z, self.waiting.r)],
+            "waiting": [a.tolist() for a in self.waiting.arrays],
             "rows": self.rows, "frame": self.frame,
             "next_frame_time": None if np.isinf(self.next_frame_time) else self.next_frame_time,
             "substrate_quanta": str(self.substrate_quanta),
@@ -161,16 +161,17 @@ class Simulation:
 
     def _insert(self) -> None:
         scene = self.scene
-        batch = _join(self.plan.batches[self.plan.order[self.cycle]], self.waiting)
+        # spheres that waited come last
+        batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
         report: InsertReport = paint_batch(
             self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
             scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
-        self.waiting = report.deferred or _empty_batch()
+        self.waiting = report.deferred or join([])
         self.particles += report.spheres
         self.moved += report.moved
         self.batch_is_in = True
         limits = self.clock.limits
-        limits.heavy_speed = max(limits.heavy_speed, scene.particles.speed)
+        limits.heavy_speed = max(limits.heavy_speed, scene.top_speed)
         if report.message():
             self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
 
@@ -211,7 +212,7 @@ class Simulation:
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
             "dt_limit": clock.limit, "particles": self.particles, "particles_moved": self.moved,
             "particles_waiting": self.waiting.count}
-        row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.particles.speed)
+        row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
         active = int(mpi.total(np.int64(clock.active_cell_steps)))
         wall = float(mpi.broadcast(self.stop.elapsed()))
@@ -228,13 +229,3 @@ class Simulation:
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}
-
-
-def _empty_batch() -> Batch:
-    return Batch(*(np.empty(0) for _ in range(4)))
-
-
-def _join(first: Batch, second: Batch) -> Batch:
-    """Return both batches as one; spheres that waited come last."""
-    return Batch(*(np.concatenate(pair) for pair in zip((first.x, first.y, first.z, first.r),
-                                                        (second.x, second.y, second.z, second.r))))

@@ -58,6 +58,35 @@ def add_spheres(x, y, z, r, offset, dx, added):
 
 
 @kernel
+def add_moving_spheres(x, y, z, r, velocity, offset, dx, added, u, v, w):
+    """Add spheres as :func:`add_spheres` does, and set ``u, v, w`` to the velocity (m/s) of what each cell was given.
+
+    ``velocity``: (spheres, 3). In a cell that spheres share it is their mean by volume, merged in their order, so that
+    its momentum is theirs; in all other cells it has the very bits of the sphere's velocity.
+    """
+    nz, ny, nx = added.shape
+    for s in range(x.size):
+        i0, i1, j0, j1, k0, k1 = sphere_bounds(x[s], y[s], z[s], r[s], 0.0, 0.0, 0.0, dx, offset[0], offset[0] + nx,
+                                               offset[1], offset[1] + ny, offset[2], offset[2] + nz)
+        if i1 <= i0 or j1 <= j0 or k1 <= k0:
+            continue
+        share = np.empty((k1 - k0, j1 - j0, i1 - i0))
+        sphere_volume_fractions(x[s], y[s], z[s], r[s], 0.0, 0.0, 0.0, dx, i0, i1, j0, j1, k0, k1, share)
+        for k in range(k0, k1):
+            for j in range(j0, j1):
+                for i in range(i0, i1):
+                    new = share[k - k0, j - j0, i - i0]
+                    if new > 0.0:
+                        c = (k - offset[2], j - offset[1], i - offset[0])
+                        old = added[c]
+                        added[c] = old + new
+                        old /= old + new
+                        u[c] = velocity[s, 0] + old * (u[c] - velocity[s, 0])
+                        v[c] = velocity[s, 1] + old * (v[c] - velocity[s, 1])
+                        w[c] = velocity[s, 2] + old * (w[c] - velocity[s, 2])
+
+
+@kernel
 def merge_cells(added, mass, fraction, temperature, new_temperature, memory, diluted):
     """Add new material at ``new_temperature`` (K), stress-free and unstrained, to the cells.
 
@@ -104,3 +133,35 @@ def merge_nodes(shape, added, mass, velocity, u, v, w):
                 u[n] = velocity[0] + old * (u[n] - velocity[0])
                 v[n] = velocity[1] + old * (v[n] - velocity[1])
                 w[n] = velocity[2] + old * (w[n] - velocity[2])
+
+
+@kernel
+def merge_moving_nodes(shape, added, mass, velocity, u, v, w):
+    """Give the nodes the momentum of added material as :func:`merge_nodes` does, each cell's at its own ``velocity``.
+
+    ``velocity``: three flat cell arrays (m/s). Cells of one velocity give their node its very bits.
+    """
+    nz, ny, nx = shape
+    cu, cv, cw = velocity
+    for k in range(1, nz):
+        for j in range(1, ny):
+            for i in range(1, nx):
+                new, whole, nu, nv, nw = 0.0, 0.0, 0.0, 0.0, 0.0
+                for c in range(2):
+                    for b in range(2):
+                        for a in range(2):
+                            n = ((k - c) * ny + j - b) * nx + i - a
+                            whole += mass[n]
+                            if added[n] > 0.0:
+                                old = new / (new + added[n])
+                                new += added[n]
+                                nu = cu[n] + old * (nu - cu[n])
+                                nv = cv[n] + old * (nv - cv[n])
+                                nw = cw[n] + old * (nw - cw[n])
+                if new == 0.0:
+                    continue
+                n = (k * (ny + 1) + j) * (nx + 1) + i
+                old = 1.0 - new / whole
+                u[n] = nu + old * (u[n] - nu)
+                v[n] = nv + old * (v[n] - nv)
+                w[n] = nw + old * (w[n] - nw)

@@ -6,6 +6,7 @@ A batch's z is measured from the bottom of the particle layer, in files and in m
 from __future__ import annotations
 
 import csv
+import dataclasses
 import math
 import os
 from collections.abc import Sequence
@@ -17,11 +18,14 @@ import numpy as np
 
 from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.sphere import sphere_box_volume
+from f2s_hpc.particles.lateral import SechProfile
 from f2s_hpc.particles.packing import pack, smallest_gap_ratio
 from f2s_hpc.particles.sizes import RosinRammler
 
 COLUMNS = ("x", "y", "z", "r")
+VELOCITY_COLUMNS = ("vx", "vy", "vz")
 MISFIT_WORTH_A_LINE = 0.01
+SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
 LAYER_TOLERANCE = 1e-9  # of the layer height: a sphere written as touching the layer's end does not cross it
 
 
@@ -29,18 +33,34 @@ LAYER_TOLERANCE = 1e-9  # of the layer height: a sphere written as touching the 
 class Batch:
     """Spheres that enter together: centres ``x``, ``y``, ``z`` and radii ``r``, each (count,) float64 in metres.
 
-    x and y from the corner of the box, z from the bottom of the particle layer.
+    x and y from the corner of the box, z from the bottom of the particle layer. ``velocity`` (count, 3) float64 in m/s
+    is each sphere's own (x, y, z); None where all fly with the scene's velocity.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
     r: np.ndarray
+    velocity: np.ndarray | None = None
 
     @property
     def count(self) -> int:
         """Number of spheres."""
         return self.r.size
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """All arrays, as the constructor takes them."""
+        places = (self.x, self.y, self.z, self.r)
+        return places if self.velocity is None else (*places, self.velocity)
+
+    def chosen(self, rows: np.ndarray | slice) -> Batch:
+        """Return the batch of some of the spheres: a mask, indices or a slice."""
+        return Batch(*(array[rows].copy() for array in self.arrays))
+
+    def raised(self, height: float) -> Batch:
+        """Return the batch with every z raised by ``height`` (m)."""
+        return dataclasses.replace(self, z=self.z + height)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +83,34 @@ def _metres(text: str, where: str, column: str) -> float:
     return float(value.scaleb(-3))
 
 
+def _metres_per_second(text: str, where: str, column: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {column} is {text.strip()!r}, but must be a number in m/s, like -615")
+    return value
+
+
 def _check_header(path: Path, header: list[str]) -> None:
     for name in COLUMNS:
         if name not in header:
             raise InputError(f"{path}: column {name!r} is missing; the first line must be x,y,z,r (millimetres), "
                              f"not {','.join(header)!r}")
     for name in header:
-        if name not in COLUMNS or header.count(name) > 1:
-            raise InputError(f"{path}: unexpected column {name!r}; the first line must be x,y,z,r (millimetres)")
+        if name not in COLUMNS + VELOCITY_COLUMNS or header.count(name) > 1:
+            raise InputError(f"{path}: unexpected column {name!r}; the first line must be x,y,z,r (millimetres), or "
+                             "x,y,z,r,vx,vy,vz (and m/s)")
+    velocities = [name for name in VELOCITY_COLUMNS if name in header]
+    if velocities and len(velocities) < 3:
+        raise InputError(f"{path}: column {','.join(velocities)} without the others; give all of vx,vy,vz or none")
 
 
 def read_csv(path: str | os.PathLike) -> Batch:
     """Return the batch of a CSV file: first line ``x,y,z,r``, then one sphere per row, millimetres.
 
+    The further columns ``vx,vy,vz`` (m/s) may give each sphere a velocity of its own.
     Row 1 is the first sphere; blank lines are skipped. Raises InputError, naming file and row, for a file that cannot
     be read, a missing or unexpected column, something that is no finite number, r <= 0, or no sphere at all.
     """
@@ -90,24 +125,28 @@ def read_csv(path: str | os.PathLike) -> Batch:
         raise InputError(f"{path}: the file is empty; the first line must be x,y,z,r, then one sphere per row")
     header = [name.strip() for name in rows[0]]
     _check_header(path, header)
-    spheres = np.empty((len(rows) - 1, 4))
+    order = [name for name in COLUMNS + VELOCITY_COLUMNS if name in header]
+    spheres = np.empty((len(rows) - 1, len(order)))
     for number, row in enumerate(rows[1:], start=1):
         where = f"{path}: row {number}"
         if len(row) != len(header):
-            raise InputError(f"{where}: {len(row)} values, but the header x,y,z,r needs 4")
+            raise InputError(f"{where}: {len(row)} values, but the header {','.join(order)} needs {len(order)}")
         for column, text in zip(header, row):
-            spheres[number - 1, COLUMNS.index(column)] = _metres(text, where, column)
+            read = _metres if column in COLUMNS else _metres_per_second
+            spheres[number - 1, order.index(column)] = read(text, where, column)
         if spheres[number - 1, 3] <= 0.0:
             radius_text = row[header.index("r")].strip()
             raise InputError(f"{where}: r is {radius_text}, but a radius must be positive (millimetres)")
     if not len(spheres):
         raise InputError(f"{path}: no sphere below the header; one row x,y,z,r per sphere is needed")
-    return Batch(*(np.ascontiguousarray(column) for column in spheres.T))
+    places = (np.ascontiguousarray(column) for column in spheres[:, :4].T)
+    return Batch(*places, np.ascontiguousarray(spheres[:, 4:]) if len(order) > 4 else None)
 
 
 def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     """Write a batch in the authors' format (``x,y,z,r``, millimetres), so that ``read_csv`` returns the same bits.
 
+    Spheres with velocities of their own get the columns ``vx,vy,vz`` (m/s) besides.
     The decimal digits of each number in metres are shifted by three places: up to 17 significant digits, as many
     as needed. Written under another name first, so that no half-written file is left.
     Raises InputError if the place cannot be written.
@@ -115,9 +154,13 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     path = Path(path)
     partial = path.with_name(path.name + ".part")
     spheres = zip(batch.x, batch.y, batch.z, batch.r)
-    rows = (",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere) for sphere in spheres)
+    rows = [",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere) for sphere in spheres]
+    header = COLUMNS
+    if batch.velocity is not None:
+        header = COLUMNS + VELOCITY_COLUMNS
+        rows = [",".join([row, *map(repr, velocity)]) for row, velocity in zip(rows, batch.velocity.tolist())]
     try:
-        partial.write_text("\n".join([",".join(COLUMNS), *rows]) + "\n", encoding="ascii")
+        partial.write_text("\n".join([",".join(header), *rows]) + "\n", encoding="ascii")
         os.replace(partial, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
@@ -155,14 +198,20 @@ def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height:
                                  f"{1e3 * r:.6g} mm lies outside the box, {axis} from 0 to {1e3 * size:.6g} mm")
 
 
+def join(batches: Sequence[Batch | None]) -> Batch:
+    """Return the spheres of all batches as one, in their order; what is empty or None adds nothing.
+
+    Either all batches with spheres have velocities of their own or none: a plan sees to that.
+    """
+    filled = [batch for batch in batches if batch is not None and batch.count]
+    if not filled:
+        return Batch(*(np.empty(0) for _ in COLUMNS))
+    return Batch(*(np.concatenate(arrays) for arrays in zip(*(batch.arrays for batch in filled), strict=True)))
+
+
 def stack(batches: Sequence[Batch], layer_height: float) -> Batch:
     """Return one batch: the given ones above each other, number i raised by i * layer_height (m)."""
-    return Batch(
-        np.concatenate([batch.x for batch in batches]),
-        np.concatenate([batch.y for batch in batches]),
-        np.concatenate([batch.z + index * layer_height for index, batch in enumerate(batches)]),
-        np.concatenate([batch.r for batch in batches]),
-    )
+    return join([batch.raised(index * layer_height) for index, batch in enumerate(batches)])
 
 
 def cycle_order(cycles: int, batches: int, shuffle: bool, generator: np.random.Generator) -> list[int]:
@@ -212,16 +261,51 @@ def _generate(scene, height: float, seeds: list[np.random.SeedSequence], message
     if max(map(abs, sizes.misfit(*percentiles))) > MISFIT_WORTH_A_LINE:
         messages.append(sizes.message(*percentiles))
     box = (float(scene.domain.size[0]), float(scene.domain.size[1]), height)
+    jet = SechProfile(wanted.jet_centre, wanted.jet_width) if wanted.distribution == "sech" else None
+    if jet:
+        messages.append(f"particles over x: sech of width {1e3 * jet.width:g} mm about {1e3 * jet.centre:g} mm; the "
+                        f"box holds {100 * float(jet.share(0.0, box[0])):.1f} % of such a jet")
     batches = []
     for number, seed in enumerate(seeds, start=1):
         generator = np.random.Generator(np.random.PCG64(seed))
         diameters = sizes.sample_by_number(wanted.particles, generator)
-        packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts)
+        lateral = jet.sample(wanted.particles, 0.0, box[0], generator) if jet else None
+        packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
         if packed.placed == 0:
             raise InputError(f"batches: no particle of batch {number} fits the layer; {packed.message()}")
         if packed.placed < packed.requested:
             messages.append(f"batch {number} of {wanted.count}: {packed.message()}")
         batches.append(Batch(packed.x, packed.y, packed.z, packed.r))
+    return batches
+
+
+def _speed_law(scene, batch: Batch) -> Batch:
+    """Return the batch with each sphere's velocity: its own, or the scene's speed law at its x (figure 8b, 10c)."""
+    if batch.velocity is not None:
+        return batch
+    x = np.clip(batch.x, 0.0, float(scene.domain.size[0]))  # a centre outside the box flies like its wall
+    speed = scene.particles.speed_at(x - scene.batches.jet_centre)
+    velocity = speed[:, None] * np.array(scene.particles.direction)
+    return dataclasses.replace(batch, velocity=velocity)
+
+
+def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[Batch]:
+    """Give all spheres velocities of their own if any has one, or the speed depends on the place; check the highest."""
+    own = [batch.velocity is not None for batch in batches]
+    if not any(own) and scene.particles.speed_curvature == 0.0:
+        return batches
+    limit, names = scene.top_speed, [str(path) for path in scene.batches.files]
+    for index, batch in enumerate(batches):
+        if own[index]:
+            speeds = np.linalg.norm(batch.velocity, axis=1)
+            row = int(np.argmax(speeds))
+            if speeds[row] > limit * (1.0 + SPEED_TOLERANCE):
+                raise InputError(f"{names[index]}: row {row + 1}: {speeds[row]:.6g} m/s is above the highest speed of "
+                                 f"the scene, {limit:.6g} m/s; raise particles.speed, to which the limits of the "
+                                 "numerics refer")
+    batches = [_speed_law(scene, batch) for batch in batches]
+    speeds = np.concatenate([np.linalg.norm(batch.velocity, axis=1) for batch in batches])
+    messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean")
     return batches
 
 
@@ -233,8 +317,8 @@ def make_batches(scene) -> BatchPlan:
     ``batches.count`` equal layers (at least one per file), filled from the bottom in the order in which the recurring
     scheme would spray (so fewer files than layers repeat), and becomes one batch for the one cycle. Explicit
     spheres are one batch. Batches are generated for the footprint as written in the scene, so they do not
-    depend on the cell size.
-    Raises InputError for unreadable files, spheres outside the layer, or nothing to place.
+    depend on the cell size. Where files give velocities, or the speed depends on the place, every sphere has its own.
+    Raises InputError for unreadable files, spheres outside the layer or too fast, or nothing to place.
     """
     wanted, height = scene.batches, float(scene.domain.particle_layer_height)
     cycles = scene.cycles.count
@@ -245,13 +329,14 @@ def make_batches(scene) -> BatchPlan:
     shuffle_seed, *batch_seeds = np.random.SeedSequence(wanted.seed).spawn(max(wanted.count, 0) + 1)
     shuffler = np.random.Generator(np.random.PCG64(shuffle_seed))
     if len(wanted.spheres):
-        return BatchPlan([_given_spheres(scene, messages)], [0] * cycles, messages)
+        return BatchPlan(_with_velocities(scene, [_given_spheres(scene, messages)], messages), [0] * cycles, messages)
     layers = max(wanted.count, len(wanted.files), 1) if standard else 1
     layer_height = height / layers
     if len(wanted.files):
         batches = _read_files(scene, layer_height, messages)
     else:
         batches = _generate(scene, layer_height, batch_seeds, messages)
+    batches = _with_velocities(scene, batches, messages)
     if not standard:
         return BatchPlan(batches, cycle_order(cycles, len(batches), wanted.shuffle, shuffler), messages)
     order = cycle_order(layers, len(batches), wanted.shuffle, shuffler)

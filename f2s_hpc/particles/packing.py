@@ -99,10 +99,15 @@ def _bins(box: tuple[float, float, float], count: int) -> tuple[np.ndarray, np.n
 
 
 def _find_place(radius: float, box: tuple[float, float, float], generator: np.random.Generator, attempts: int,
-                search) -> np.ndarray | None:
-    """Return the first free place (3,) among ``attempts`` random ones, ``None`` if all are taken."""
+                search, x: float | None) -> np.ndarray | None:
+    """Return the first free place (3,) among ``attempts`` random ones, ``None`` if all are taken.
+
+    With ``x`` (m), all places are there.
+    """
     low = np.array([0.0, 0.0, radius])
     span = np.array([box[0], box[1], box[2] - 2.0 * radius])
+    if x is not None:
+        low[0], span[0] = x, 0.0
     block, left = FIRST_BLOCK, attempts
     while left > 0:
         places = low + generator.random((min(block, left), 3)) * span
@@ -116,15 +121,21 @@ def _find_place(radius: float, box: tuple[float, float, float], generator: np.ra
 
 
 def pack(diameters: np.ndarray, box: tuple[float, float, float], gap_factor: float, generator: np.random.Generator,
-         attempts: int) -> PackingResult:
+         attempts: int, lateral: np.ndarray | None = None) -> PackingResult:
     """Place spheres of the given diameters (m, shape (n,)) at random in the box (lx, ly, lz) (m).
 
     Centre distances are at least ``gap_factor`` times the summed radii. Centres lie anywhere in 0..lx and
     0..ly (spheres may cross the side walls), and r <= z <= lz - r. Each sphere tries ``attempts`` places and is
     left out if none is free (``placed`` < ``requested``; see ``PackingResult.message``).
+
+    ``lateral`` (n,) gives each sphere its x (m) beforehand, and only y and z are tried: a crowded jet's axis then
+    keeps its share, where new places for the spheres it has no room for would thin it out.
     Raises InputError for a gap factor below 1, no attempts, an empty box or a diameter that is not positive.
     """
-    radii = np.sort(0.5 * np.asarray(diameters, dtype=np.float64))[::-1]
+    radii = 0.5 * np.asarray(diameters, dtype=np.float64)
+    if lateral is not None:
+        lateral = np.asarray(lateral, dtype=np.float64)[np.argsort(radii, kind="stable")[::-1]]
+    radii = np.sort(radii)[::-1]
     if not (gap_factor >= 1.0 and attempts >= 1 and min(box) > 0.0):
         raise InputError(f"packing: gap_factor {gap_factor:g}, attempts {attempts}, box {box} m: "
                          "gap_factor >= 1, attempts >= 1 and positive edges are needed")
@@ -139,10 +150,10 @@ def pack(diameters: np.ndarray, box: tuple[float, float, float], gap_factor: flo
         largest = r[0] if placed else 0.0
         return _first_free(places, radius, gap_factor, largest, x, y, z, r, head, following, bin_size)
 
-    for radius in radii:
+    for index, radius in enumerate(radii):
         if 2.0 * radius > box[2]:
             continue
-        place = _find_place(radius, box, generator, attempts, search)
+        place = _find_place(radius, box, generator, attempts, search, None if lateral is None else lateral[index])
         if place is None:
             continue
         x[placed], y[placed], z[placed] = place

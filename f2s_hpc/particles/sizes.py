@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import cumulative_trapezoid
+from scipy.integrate import cumulative_trapezoid, quad
 from scipy.optimize import least_squares
 
 from f2s_hpc.errors import InputError
@@ -85,6 +85,17 @@ class RosinRammler:
         wanted = " / ".join(f"{1e6 * value:.1f}" for value in (d10, d50, d90))
         return (f"particle sizes: Rosin-Rammler with scale {1e6 * self.scale:.2f} um and exponent {self.exponent:.3f} "
                 f"has D10 / D50 / D90 of {own} um, wanted {wanted} um (two parameters cannot meet all three)")
+
+    def mean_particle_volume(self) -> float:
+        """Return the mean volume (m3) of a particle, each counting once: what divides a volume into a number.
+
+        V = pi/6 / E[d^-3], the mean E over the volume distribution, because its number density is that density over
+        d^3. Integrated over t = (d / scale)^exponent, in which the volume density is exp(-t).
+        """
+        start, end = self._exponents_at_ends()
+        power = -3.0 / self.exponent
+        above, _ = quad(lambda t: t**power * np.exp(start - t), start, end, epsabs=0.0, epsrel=1e-12, limit=200)
+        return float(np.pi / 6.0 * self.scale**3 * -np.expm1(start - end) / above)
 
     def sample_by_number(self, count: int, generator: np.random.Generator) -> np.ndarray:
         """Return ``count`` diameters (m), drawn particle by particle.

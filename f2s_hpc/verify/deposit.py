@@ -33,7 +33,7 @@ def deposit_temperature(setup: Setup, scene: Scene) -> float:
     state, part = setup.state, setup.state.part
     speed = measure.derived_field(state, setup.model, "speed")
     centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
-    landed = ((speed < measure.SLOW * scene.particles.speed) & (state.owned("volume_fraction") >= 0.5)
+    landed = ((speed < measure.SLOW * scene.top_speed) & (state.owned("volume_fraction") >= 0.5)
               & (centre[:, None, None] > scene.domain.substrate_height))
     mass = state.owned("mass")[landed]
     local = np.array([mass.sum(), mass @ state.owned("temperature")[landed]])

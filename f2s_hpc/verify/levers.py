@@ -94,7 +94,7 @@ def _compute(scene: Scene) -> _Measured:
     mpi.barrier()
     wall = float(mpi.broadcast(stopwatch.read()))
     memory = sum(mpi.all_gather(max(resident_memory() - before, 0)))
-    row = measure.measure_material(setup.state, setup.model, scene.domain.substrate_height, scene.particles.speed)
+    row = measure.measure_material(setup.state, setup.model, scene.domain.substrate_height, scene.top_speed)
     return _Measured(wall, memory, setup, row, setup.state.owned("volume_fraction").copy())
 
 

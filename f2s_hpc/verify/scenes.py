@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from f2s_hpc import mpi
 from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
-from f2s_hpc.particles.batch import Batch, make_batches
+from f2s_hpc.particles.batch import join, make_batches
 from f2s_hpc.verify.box import Setup
 
 _SCENE = """
@@ -75,7 +73,7 @@ def scene_setup(scene: Scene) -> tuple[Setup, int]:
     batch = mpi.run_together(make_batches, scene).batches[0]
     setup.report = paint_batch(state, model, batch, scene.domain.layer_bottom, scene.particles.velocity,
                                scene.particles.temperature, setup.ledger, scene.batches.seed)
-    setup.clock.limits.heavy_speed = scene.particles.speed
+    setup.clock.limits.heavy_speed = scene.top_speed
     setup.activate()
     return setup, substrate_quanta
 
@@ -94,13 +92,12 @@ def run_cycles(scene: Scene) -> tuple[Setup, int]:
     for cycle, duration in enumerate(scene.cycles.durations):
         batch = plan.batches[plan.order[cycle]]
         if waiting is not None:
-            batch = Batch(*(np.concatenate(pair) for pair in zip(
-                (batch.x, batch.y, batch.z, batch.r), (waiting.x, waiting.y, waiting.z, waiting.r))))
+            batch = join([batch, waiting])
         setup.report = paint_batch(
             state, model, batch, scene.domain.layer_bottom, scene.particles.velocity, scene.particles.temperature,
             setup.ledger, scene.batches.seed * 1000003 + cycle)
         waiting = setup.report.deferred
-        clock.limits.heavy_speed = max(clock.limits.heavy_speed, scene.particles.speed)
+        clock.limits.heavy_speed = max(clock.limits.heavy_speed, scene.top_speed)
         setup.advance_to(duration)
         clock.cycle_start, clock.in_cycle = clock.cycle_start + duration, 0.0
     return setup, substrate_quanta

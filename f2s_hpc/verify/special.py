@@ -12,7 +12,6 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles.insert import kinetic_quanta, paint_batch
 from f2s_hpc.fields import VELOCITY
-from f2s_hpc.particles.batch import Batch
 from f2s_hpc.verify.watch import FAILED, STABLE, Broken, Outcome, Watch, judge, prepare, run_cycles
 
 NOISE = 0.1
@@ -28,7 +27,7 @@ def head_on(name: str, text: str, overrides: tuple[str, ...] = ()) -> Outcome:
     setup, plan = prepare(scene)
     batch, (u, v, w) = plan.batches[0], scene.particles.velocity
     for index, velocity in ((0, (-u, -v, -w)), (1, (u, v, w))):
-        one = Batch(*(a[index:index + 1] for a in (batch.x, batch.y, batch.z, batch.r)))
+        one = batch.chosen(slice(index, index + 1))
         paint_batch(setup.state, setup.model, one, scene.domain.layer_bottom, velocity, scene.particles.temperature,
                     setup.ledger, index)
     setup.clock.limits.heavy_speed = scene.particles.speed

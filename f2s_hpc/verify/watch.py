@@ -245,7 +245,7 @@ def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float
                                    scene.particles.velocity, scene.particles.temperature, setup.ledger,
                                    scene.batches.seed * 1000003 + cycle)
         limits = setup.clock.limits
-        limits.heavy_speed = max(limits.heavy_speed, scene.particles.speed)
+        limits.heavy_speed = max(limits.heavy_speed, scene.top_speed)
         run(duration)
         setup.clock.cycle_start += duration
         setup.clock.in_cycle = 0.0
@@ -281,7 +281,7 @@ def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int
         setup, plan = prepare(scene)
     except InputError as error:
         return Outcome(name, REFUSED, str(error))
-    watch = Watch(setup, scene.particles.speed)
+    watch = Watch(setup, scene.top_speed)
     return judge(name, watch, lambda: run_cycles(scene, plan, setup, lambda end: watch.run(end, interval)))
 
 

@@ -1,0 +1,133 @@
+"""The commands about the particle stream: ``f2s stream`` (fits to a measurement) and ``f2s feed`` (numbers)."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import pathlib
+from typing import TYPE_CHECKING
+
+from f2s_hpc import mpi, units
+from f2s_hpc.cli.stream_options import DEFAULT_SPEEDS, DIAMETERS, PICTURE
+from f2s_hpc.errors import InputError
+
+if TYPE_CHECKING:
+    from f2s_hpc.particles.feed import Feed, FeedCount
+
+
+def stream(arguments: argparse.Namespace) -> int:
+    """Fit a measurement, print the fits, write JSON and picture; return the exit code. Done by rank 0."""
+    def work() -> str:
+        from f2s_hpc.analysis.stream import draw_stream, format_stream
+        from f2s_hpc.config.stream import scene_keys
+        from f2s_hpc.particles.measurement import read_measurement
+        from f2s_hpc.particles.stream import as_record, fit_stream
+        fit = fit_stream(read_measurement(arguments.measurement))
+        record = as_record(fit)
+        keys = [f'{section}.{name} = "{_short(text)}"' for section, table in
+                scene_keys(record, fit.measurement.name).items() for name, text in table.items()]
+        lines = [format_stream(fit), "for a scene, with its own axis: " + ", ".join(keys)]
+        if arguments.json:
+            _write_json(arguments.json, record)
+            lines.append(f'fits {arguments.json}; a scene takes them with particles.stream = "{arguments.json}"')
+        if arguments.out:
+            folder = pathlib.Path(arguments.out)
+            _make_folder(folder)
+            draw_stream(fit, folder / PICTURE)
+            lines.append(f"picture {folder / PICTURE}")
+        return "\n".join(lines)
+
+    _say(mpi.run_together(work))
+    return 0
+
+
+def _short(text: str) -> str:
+    number, _, unit = text.partition(" ")
+    return f"{float(number):.5g} {unit}" if unit else text
+
+
+def feed(arguments: argparse.Namespace) -> int:
+    """Print the particles on the strip at each scanning speed, beside table 4 of the paper; return the exit code."""
+    def work() -> str:
+        from f2s_hpc.particles.feed import Feed, count_particles
+        from f2s_hpc.particles.sizes import RosinRammler
+        diameters = [_quantity(arguments, name, "length") for name, _, _ in DIAMETERS]
+        sizes = RosinRammler.fit(*diameters)
+        powder = Feed(_quantity(arguments, "feed_rate", "mass flow"), _percent(arguments.share),
+                      _quantity(arguments, "path", "length"), _quantity(arguments, "density", "density"), sizes)
+        speeds = [_parsed("--scan-speed", text, "speed") for text in arguments.scan_speeds or DEFAULT_SPEEDS]
+        counts = [count_particles(powder, speed, arguments.per_batch) for speed in speeds]
+        if arguments.json:
+            _write_json(arguments.json, {
+                "feed_rate_kg_s": powder.rate, "share": powder.share, "path_m": powder.path,
+                "density_kg_m3": powder.density, "mean_particle_volume_m3": sizes.mean_particle_volume(),
+                "particles_per_batch": arguments.per_batch, "speeds": [dataclasses.asdict(c) for c in counts]})
+        return "\n".join([_feed_table(powder, counts, arguments.per_batch), "note: " + sizes.message(*diameters[:3])])
+
+    _say(mpi.run_together(work))
+    return 0
+
+
+def _feed_table(powder: Feed, counts: list[FeedCount], per_batch: int) -> str:
+    volume = powder.sizes.mean_particle_volume()
+    diameter = math.cbrt(6.0 * volume / math.pi)
+    head = ("scan speed", "time", "mass", "particles", "batches", "whole batches", "Table 4", "Table 4 row 1 as 1/V_s")
+    rows = [(f"{1e3 * c.scan_speed:g} mm/s", units.pretty(c.time, "time"), units.pretty(c.mass, "mass"),
+             f"{c.particles:,.0f}", f"{c.batches:.2f}", f"{c.whole_batches} = {c.whole_particles:,}",
+             "-" if c.paper is None else f"{c.paper:,}", f"{c.paper_law:,.0f}") for c in counts]
+    widths = [max(map(len, column)) for column in zip(head, *rows)]
+    lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths)) for row in (head, *rows)]
+    first = (f"{6e4 * powder.rate:.4g} g/min fed, {100 * powder.share:g} % of it on the strip while the nozzle goes "
+             f"{units.pretty(powder.path, 'length')}; mean particle {1e18 * volume:,.0f} um3 (a sphere of "
+             f"{1e6 * diameter:.2f} um), {units.pretty(powder.density, 'density')}")
+    law = (f"particles: the law feed x share x path / (V_s x density x mean volume); whole batches of {per_batch:,}: "
+           "the law rounded up.")
+    table = ("Table 4 (Ge et al. 2026) has whole batches, 4, 6 and 8 of 2,559: its 120 mm/s is six batches, 15,354, "
+             "where its 160 mm/s by 1/V_s gives 13,648.")
+    return "\n".join([first, "", *lines, "", law, table])
+
+
+def _quantity(arguments: argparse.Namespace, name: str, dimension: str) -> float:
+    return _parsed(f"--{name.replace('_', '-')}", getattr(arguments, name), dimension)
+
+
+def _parsed(option: str, text: str, dimension: str) -> float:
+    try:
+        value = units.parse(text, dimension)
+    except units.UnitError as error:
+        raise InputError(f'{option} "{text}": {error}') from None
+    if value <= 0.0:
+        raise InputError(f'{option} "{text}": must be positive')
+    return value
+
+
+def _percent(text: str) -> float:
+    number, mark, rest = text.partition("%")
+    try:
+        value = float(number) / 100.0
+    except ValueError:
+        mark, value = "", 0.0
+    if not mark or rest.strip() or not 0.0 < value <= 1.0:
+        raise InputError(f'--share "{text}": write a percentage above 0 and up to 100, for example "2.06 %"')
+    return value
+
+
+def _write_json(path: str, record: dict) -> None:
+    try:
+        pathlib.Path(path).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+
+
+def _make_folder(folder: pathlib.Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); name another folder with --out") from None
+
+
+def _say(text: str) -> None:
+    if mpi.is_root():
+        print(text, flush=True)
