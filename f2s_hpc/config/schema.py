@@ -103,6 +103,9 @@ class Particles(Section):
     direction: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, -1.0),
                                                      description="flight direction (x, y, z); normalised")
     temperature: Temperature = Field(description="initial temperature, K")
+    flight: Literal["ballistic", "eulerian"] = Field(
+        default="ballistic", description="until they meet something particles fly as analytic spheres, or painted onto "
+                                         "the grid from the start (always in the standard scheme)")
 
     @field_validator("direction")
     @classmethod
@@ -338,6 +341,11 @@ class Scene(Section):
     def top_speed(self) -> float:
         """Highest speed (m/s) of any particle: what the numerics' speed limits and the energies refer to."""
         return self.speed_range[1]
+
+    @property
+    def ballistic(self) -> bool:
+        """Do particles fly as analytic spheres?"""
+        return self.scheme == "recurring" and self.particles.flight == "ballistic"
 
     @property
     def mie_grueneisen(self) -> bool:

@@ -157,6 +157,13 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
     return report
 
 
+def paint_arrivals(state: State, model: Model, arrived: tuple[Batch, tuple[float, float, float]], temperature: float,
+                   ledger: Ledger) -> None:
+    """Put spheres at the end of their flight (z from the bottom of the box) into the box, ghosts included."""
+    batch, velocity = arrived
+    _add(state, model, batch, velocity, temperature, ledger, InsertReport(spheres=batch.count))
+
+
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
          ledger: Ledger, report: InsertReport) -> None:
     added = np.zeros(state.part.cell_shape)

@@ -12,7 +12,8 @@ from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
-from f2s_hpc.cycles.insert import InsertReport, paint_batch, paint_substrate
+from f2s_hpc.cycles.flight import Flight
+from f2s_hpc.cycles.insert import InsertReport, paint_arrivals, paint_batch, paint_substrate
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import Progress
 from f2s_hpc.cycles.stop import StopRequest
@@ -45,6 +46,7 @@ class Simulation:
         self.particles = 0
         self.moved = 0
         self.waiting = join([])
+        self.flight = Flight(self.model.dx, self.state.part.box.extents) if scene.ballistic else None
         self.rows: list[dict] = []
         self.frame = 0
         self.next_frame_time = scene.output.frame_interval or np.inf
@@ -87,6 +89,8 @@ class Simulation:
         self.cycle, self.batch_is_in = saved["cycle"], saved["batch_is_in"]
         self.particles, self.moved = saved["particles"], saved["moved"]
         self.waiting = Batch(*(np.array(a, dtype=float) for a in saved["waiting"]))
+        if self.flight is not None:
+            self.flight.restore(saved["flight"])
         self.rows, self.frame = saved["rows"], saved["frame"]
         self.next_frame_time = saved["next_frame_time"] or np.inf
         self.substrate_quanta = int(saved["substrate_quanta"])
@@ -104,6 +108,7 @@ class Simulation:
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,
             "waiting": [a.tolist() for a in self.waiting.arrays],
+            "flight": None if self.flight is None else self.flight.attributes(),
             "rows": self.rows, "frame": self.frame,
             "next_frame_time": None if np.isinf(self.next_frame_time) else self.next_frame_time,
             "substrate_quanta": str(self.substrate_quanta),
@@ -147,6 +152,8 @@ class Simulation:
         clock = self.clock
         while clock.in_cycle < duration * (1.0 - 1e-12):
             clock.limits.stop = self.stop.asked()
+            if self.flight is not None:
+                self._land()
             advance(self.state, self.model, clock, self.ledger, duration)
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
             if clock.time >= self.next_frame_time:
@@ -163,6 +170,9 @@ class Simulation:
         scene = self.scene
         # spheres that waited come last
         batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
+        if self.flight is not None:
+            self._launch(batch)
+            return
         report: InsertReport = paint_batch(
             self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
             scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
@@ -174,6 +184,24 @@ class Simulation:
         limits.heavy_speed = max(limits.heavy_speed, scene.top_speed)
         if report.message():
             self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
+
+    def _launch(self, batch: Batch) -> None:
+        """Let a batch fly towards the deposit."""
+        raised = self.flight.launch(self.state, batch.raised(self.scene.domain.layer_bottom),
+                                    self.scene.particles.velocity, self.clock.time)
+        self.particles += batch.count
+        self.moved += raised
+        self.batch_is_in = True
+        if raised:
+            self.progress.say(f"cycle {self.cycle + 1}: {raised} spheres start higher to clear what is in their place")
+
+    def _land(self) -> None:
+        """Put the spheres that are about to meet something onto the grid."""
+        clock = self.clock
+        arrived = self.flight.arrivals(self.state, clock.time, clock.dt or 0.0)
+        if arrived is not None:
+            paint_arrivals(self.state, self.model, arrived, self.scene.particles.temperature, self.ledger)
+            clock.limits.heavy_speed = max(clock.limits.heavy_speed, self.scene.top_speed)
 
     def _finish_cycle(self, duration: float) -> None:
         clock = self.clock
@@ -196,7 +224,8 @@ class Simulation:
             f"cycle {self.cycle}/{self.scene.cycles.count} done: {row['particles']} particles, dense height "
             f"{1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
             f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
-            f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %")
+            f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
+            + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))
 
     def _frame(self) -> None:
         for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle):
@@ -211,7 +240,8 @@ class Simulation:
         row = {
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
             "dt_limit": clock.limit, "particles": self.particles, "particles_moved": self.moved,
-            "particles_waiting": self.waiting.count}
+            "particles_waiting": self.waiting.count,
+            "particles_in_flight": 0 if self.flight is None else self.flight.count}
         row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
         active = int(mpi.total(np.int64(clock.active_cell_steps)))

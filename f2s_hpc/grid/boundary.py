@@ -59,8 +59,8 @@ class Boundary:
              axes: tuple[int, ...] = (0, 1, 2), layers: int = GHOST) -> None:
         """Fill ghosts of the named fields behind the touched sides where blocks are ``active``: x, then y, then z.
 
-        ``offsets``: where each field starts in ``memory``; ``active``: uint8 [k, j, block]; ``axes``, ``layers``: behind
-        which sides, and how deep.
+        ``offsets``: where each field starts in ``memory``; ``active``: uint8 [k, j, block]; ``axes``, ``layers``:
+        behind which sides, and how deep.
         """
         for location, starts, signs in self._grouped(offsets, names):
             on_nodes = location != CELL

@@ -138,7 +138,8 @@ def list_columns(active, row_length, axis, columns):
 
     ``axis`` 1 (y): fixed index k, walking j; 2 (z): fixed index j, walking k. Rows of ``columns``
     (int32): fixed index, first row, end row, first cell, end cell. Stretches of neighbouring blocks that are much
-    the same share a column over both: the inactive cells it takes in are void, stay void, and cost less than short rows.
+    the same share a column over both: the inactive cells it takes in are void, stay void, and cost less than short
+    rows.
     Returns the number of columns (see :func:`list_runs` for overflow).
     """
     nz, ny, blocks = active.shape

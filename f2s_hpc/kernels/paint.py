@@ -37,6 +37,29 @@ def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, overlap):
 
 
 @kernel
+def spheres_near_material(x, y, z, reach, offset, dx, window, mass, near):
+    """Set ``near[s]`` to 1 where the centre of a cell of ``window`` with material is within ``reach[s]`` of sphere s.
+
+    ``x, y, z``: centres (m); ``offset``, ``window``, ``mass`` as in :func:`sphere_overlaps`.
+    """
+    k0, k1, j0, j1, i0, i1 = window
+    for s in range(x.size):
+        a0, a1, b0, b1, c0, c1 = sphere_bounds(x[s], y[s], z[s], reach[s], 0.0, 0.0, 0.0, dx, i0 + offset[0],
+                                               i1 + offset[0], j0 + offset[1], j1 + offset[1], k0 + offset[2],
+                                               k1 + offset[2])
+        for k in range(c0, c1):
+            for j in range(b0, b1):
+                if near[s] > 0.0:
+                    break
+                dy, dz = (j + 0.5) * dx - y[s], (k + 0.5) * dx - z[s]
+                left = reach[s] * reach[s] - dy * dy - dz * dz
+                for i in range(a0, a1):
+                    away = (i + 0.5) * dx - x[s]
+                    if away * away <= left and mass[k - offset[2], j - offset[1], i - offset[0]] > 0.0:
+                        near[s] = 1.0
+
+
+@kernel
 def add_spheres(x, y, z, r, offset, dx, added):
     """Add the volume fractions of all spheres to ``added``, a local array [k, j, i] with ghosts.
 

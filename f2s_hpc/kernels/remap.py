@@ -99,14 +99,14 @@ def _face_weights(smooth, second, moved, m0, m1, m2, m3, m4, m5, w_behind, w_ahe
     The face carries the mean over the share n of the donor that moves, of the polynomial with the cell means around it:
     third order on three cells, fifth order on five where ``smooth`` asks for it and no wider neighbour is void
     (the upstream interpolations of Leonard 1991, Comput. Methods Appl. Mech. Eng. 88, 17).
-    Zero in first order and where the donor or a neighbour is void, of cells
-    also where one is mixed: void has no slope. ``m0``..``m5``: masses of the three rows below and the three above the faces.
+    Zero in first order and where the donor or a neighbour is void, of cells also where one is mixed: void has no
+    slope. ``m0``..``m5``: masses of the three rows below and the three above the faces.
     """
     for i in range(moved.size):
         up2, up, donor, down, down2 = _ordered(moved[i] > 0.0, m0[i], m1[i], m2[i], m3[i], m4[i], m5[i])
         n = min(abs(moved[i]) / max(donor, 1e-300), 1.0)
         least = LEAST_SLOPED if smooth > 0.0 else LEAST_SLOPED_CELL
-        solid = second * (1.0 if min(min(up, down), donor) > least else 0.0)
+        solid = second * (1.0 if min(up, down, donor) > least else 0.0)
         wide = smooth * solid * (1.0 if min(up2, down2) > LEAST_SLOPED else 0.0)
         narrow = (solid - wide) * (1.0 - n) / 6.0
         behind = 11.0 / 60.0 + n * (1.0 / 24.0 - n * (5.0 / 24.0 + n * (1.0 / 24.0 - n / 40.0)))
@@ -198,8 +198,8 @@ def sweep_along_rows(runs, count, window, strides, moved_strides, second, memory
 
     ``strides``, ``moved_strides``: (plane, row) strides of the fields and of the flux array; ``second``: 1.0 for
     slopes, 0.0 for first order; ``masses``: mass before the sweep, ``moved``: mass through the low side of each
-    cell or node. ``lost``: the nodes' lost kinetic energy, if the fields are velocities (fifth order, not limited); None
-    for cells (third order, limited).
+    cell or node. ``lost``: the nodes' lost kinetic energy, if the fields are velocities (fifth order, not limited);
+    None for cells (third order, limited).
     """
     width = _longest(runs, count, 2, 3) + 1
     scratch = np.empty(6 * width)

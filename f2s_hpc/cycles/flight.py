@@ -1,0 +1,173 @@
+"""Ballistic flight: a particle that nothing has touched is an analytic sphere, painted when about to meet something.
+
+Until then it moves on a straight line and costs nothing: no flying cells, no diffusion by the remap in flight. It is
+put onto the grid as soon as material, a side that its path leads to, or a sphere it will catch up with comes within
+reach, a few cells, so that it enters the scheme before any force acts on it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from f2s_hpc import mpi
+from f2s_hpc.errors import UnstableStep
+from f2s_hpc.grid.box import GHOST
+from f2s_hpc.kernels import paint
+from f2s_hpc.particles.batch import Batch, join
+from f2s_hpc.state import State
+
+REACH = 3.0
+"""Distance to material (in cells) at which a sphere is painted: two for its mixed cells and their nodes, one for the
+wave that runs ahead of what it is to hit."""
+
+LOOK = 4
+"""Steps between two looks; what can be flown until the next one is added to the reach."""
+
+CLEARANCE = 0.25
+"""Step (in cells) by which a new sphere is raised until nothing is in its place."""
+
+
+def _offset(state: State) -> tuple[int, int, int]:
+    return tuple(s - GHOST for s in state.part.start)
+
+
+class Flight:
+    """The spheres in flight: the same on every rank, in the order in which they came.
+
+    ``spheres``: places at time ``start`` (s) of each; ``velocity`` (n, 3) in m/s; ``contact``: time (s) at which each
+    comes within reach of another sphere in flight, infinite for most.
+    """
+
+    def __init__(self, dx: float, extents: tuple[float, float, float]) -> None:
+        self.dx, self.extents = dx, extents
+        self.spheres = join([])
+        self.velocity = np.empty((0, 3))
+        self.start = np.empty(0)
+        self.contact = np.empty(0)
+        self.calls = 0
+
+    @property
+    def count(self) -> int:
+        """Number of spheres in flight."""
+        return self.spheres.count
+
+    def at(self, time: float) -> Batch:
+        """Return the spheres where they are at ``time`` (s), each with its own velocity."""
+        s, moved = self.spheres, self.velocity * (time - self.start)[:, None]
+        return Batch(s.x + moved[:, 0], s.y + moved[:, 1], s.z + moved[:, 2], s.r, self.velocity)
+
+    def launch(self, state: State, batch: Batch, velocity: tuple[float, float, float], time: float) -> int:
+        """Let a batch (z from the bottom of the box, m) fly from ``time`` (s) on; return how many had to start higher.
+
+        A sphere that would start inside material or inside another in flight starts as much higher as frees it.
+        Collective.
+        """
+        speeds = np.tile(velocity, (batch.count, 1)) if batch.velocity is None else batch.velocity
+        flying = self.at(time)
+        placed, raised = self._free_places(state, Batch(*batch.arrays[:4]), flying)
+        self.spheres = join([Batch(*self.spheres.arrays[:4]) if self.count else None, placed])
+        self.velocity = np.concatenate([self.velocity, speeds])
+        self.start = np.concatenate([self.start, np.full(batch.count, time)])
+        self._find_contacts(time)
+        return raised
+
+    def _free_places(self, state: State, batch: Batch, flying: Batch) -> tuple[Batch, int]:
+        batch = batch.chosen(slice(None))
+        tree = cKDTree(np.stack([flying.x, flying.y, flying.z], axis=1)) if flying.count else None
+        largest = flying.r.max(initial=0.0)
+        raised = np.zeros(batch.count, dtype=np.bool_)
+        waiting = np.ones(batch.count, dtype=np.bool_)
+        while waiting.any():
+            overlap = np.zeros(batch.count)
+            paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, _offset(state), self.dx,
+                                  state.cell_window(), state.views["mass"], overlap)
+            hit = mpi.maximum(overlap) > 0.0
+            for index in np.flatnonzero(waiting & ~hit) if tree is not None else ():
+                here = np.array([batch.x[index], batch.y[index], batch.z[index]])
+                near = tree.query_ball_point(here, batch.r[index] + largest)
+                gaps = [np.hypot(np.hypot(flying.x[o] - here[0], flying.y[o] - here[1]), flying.z[o] - here[2])
+                        - flying.r[o] for o in near]
+                hit[index] = min(gaps, default=np.inf) < batch.r[index]
+            batch.z[hit] += CLEARANCE * self.dx
+            raised |= hit
+            waiting = hit
+        return batch, int(raised.sum())
+
+    def _find_contacts(self, time: float) -> None:
+        """Find when spheres of different velocity come within reach of each other: |p + w t| = r_1 + r_2 + reach."""
+        self.contact = np.full(self.count, np.inf)
+        v = self.velocity
+        if self.count < 2 or (v == v[0]).all():
+            return
+        now = self.at(time)
+        places = np.stack([now.x, now.y, now.z], axis=1)
+        slowest = max(np.abs(v[:, 2]).min(), 1e-3)
+        flight_time = max(places[:, 2].max() / slowest, 0.0)
+        spread = np.linalg.norm(v - v.mean(axis=0), axis=1).max()
+        reach = 2.0 * REACH * self.dx
+        pairs = cKDTree(places).query_pairs(2.0 * (now.r.max() + spread * flight_time) + reach, output_type="ndarray")
+        a, b = pairs[:, 0], pairs[:, 1]
+        p, w = places[b] - places[a], v[b] - v[a]
+        sum_ = now.r[a] + now.r[b] + reach
+        ww, pw, c = (w * w).sum(axis=1), (p * w).sum(axis=1), (p * p).sum(axis=1) - sum_ * sum_
+        root = pw * pw - ww * c
+        # those within reach already meet now if they close in; others at the first root, if there is one
+        meets = (pw < 0.0) & (root >= 0.0)
+        when = np.where(c <= 0.0, 0.0, (-pw - np.sqrt(np.maximum(root, 0.0))) / np.maximum(ww, 1e-300))
+        for side in (a, b):
+            np.minimum.at(self.contact, side[meets], time + np.maximum(when[meets], 0.0))
+
+    def arrivals(self, state: State, time: float, dt: float) -> tuple[Batch, tuple[float, float, float]] | None:
+        """Take the spheres that are about to meet something out of the flight; return them and the first's velocity.
+
+        None if there are none. Where all have that velocity the batch names none of its own. Collective.
+
+        Looks every ``LOOK`` calls. ``dt``: the last step (s), from which the way to the next look follows. Raises
+        ``UnstableStep`` if a sphere meets material where it does not fit into the box.
+        """
+        self.calls += 1
+        if self.count == 0 or (self.calls - 1) % LOOK:
+            return None
+        ahead = 2.0 * LOOK * dt  # the step may grow
+        now = self.at(time)
+        reach = REACH * self.dx + ahead * np.linalg.norm(self.velocity, axis=1)
+        near = np.zeros(self.count)
+        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, _offset(state), self.dx, state.cell_window(),
+                                    state.views["mass"], near)
+        meets = (mpi.maximum(near) > 0.0) | (self.contact <= time + ahead) | self._at_side(now, reach)
+        if not meets.any():
+            return None
+        if (now.z + now.r)[meets].max() > self.extents[2]:
+            raise UnstableStep("a particle meets the deposit at the top of the box, where it does not fit in; make "
+                               "domain.size higher")
+        keep = ~meets
+        arrived = now.chosen(meets)
+        self.spheres = Batch(*self.spheres.arrays[:4]).chosen(keep)
+        self.velocity, self.start, self.contact = self.velocity[keep], self.start[keep], self.contact[keep]
+        same = (arrived.velocity == arrived.velocity[0]).all()
+        return Batch(*arrived.arrays[:4], None if same else arrived.velocity), tuple(arrived.velocity[0])
+
+    def _at_side(self, now: Batch, reach: np.ndarray) -> np.ndarray:
+        """Tell which spheres are within reach of a side that they fly towards; the bottom counts, the top does not."""
+        found = np.zeros(self.count, dtype=np.bool_)
+        for axis, place in enumerate((now.x, now.y, now.z)):
+            v = self.velocity[:, axis]
+            found |= (v < 0.0) & (place - now.r - reach < 0.0)
+            if axis < 2:
+                found |= (v > 0.0) & (place + now.r + reach > self.extents[axis])
+        return found
+
+    def attributes(self) -> dict:
+        """Return what a checkpoint must hold."""
+        return {"spheres": [a.tolist() for a in self.spheres.arrays[:4]], "velocity": self.velocity.tolist(),
+                "start": self.start.tolist(), "contact": [float(c) if np.isfinite(c) else None for c in self.contact],
+                "calls": self.calls}
+
+    def restore(self, saved: dict) -> None:
+        """Take back what :meth:`attributes` returned."""
+        self.spheres = Batch(*(np.array(a, dtype=float) for a in saved["spheres"]))
+        self.velocity = np.array(saved["velocity"], dtype=float).reshape(-1, 3)
+        self.start = np.array(saved["start"], dtype=float)
+        self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)
+        self.calls = saved["calls"]
