@@ -143,7 +143,7 @@ class Simulation:
         """Run one cycle to its end; False when a stop was asked for and a checkpoint was written."""
         duration = self.scene.cycles.durations[self.cycle]
         if not self.batch_is_in:
-            self._insert()
+            self.insert()
         clock = self.clock
         while clock.in_cycle < duration * (1.0 - 1e-12):
             clock.limits.stop = self.stop.asked()
@@ -159,7 +159,8 @@ class Simulation:
         self._finish_cycle(duration)
         return not clock.stop or self.cycle == self.scene.cycles.count
 
-    def _insert(self) -> None:
+    def insert(self) -> InsertReport:
+        """Paint the batch of the present cycle, with what waited from the one before; return what happened."""
         scene = self.scene
         batch = _join(self.plan.batches[self.plan.order[self.cycle]], self.waiting)
         report: InsertReport = paint_batch(
@@ -173,6 +174,7 @@ class Simulation:
         limits.heavy_speed = max(limits.heavy_speed, scene.particles.speed)
         if report.message():
             self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
+        return report
 
     def _finish_cycle(self, duration: float) -> None:
         clock = self.clock
