@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from f2s_hpc.errors import InputError
 
@@ -78,20 +77,22 @@ def mirrored(profile: Profile) -> Profile:
 def profile_size(profile: Profile) -> ProfileSize:
     """Return maximum height, width and area of a profile.
 
-    Width: distance of the outermost crossings of ``EDGE_SHARE`` of the maximum, linear between points, or the end of
-    the profile where it does not come down to that. Area: by the trapezoidal rule, what is below the substrate top
-    taken as zero.
+    Each point stands for the stretch halfway to its neighbours, an end point for as much outside as inside, so a
+    profile of cell centres reaches to the sides of the box. Width: distance of the outermost crossings of
+    ``EDGE_SHARE`` of the maximum, linear between points, or to the end where it does not come down to that. Area: sum
+    of height times stretch; what is below the substrate top counts as zero.
     """
     x, height = profile.x, np.maximum(profile.height, 0.0)
-    maximum = float(height.max())
+    maximum = float(profile.height.max())
     if maximum <= 0.0:
         return ProfileSize(maximum, 0.0, 0.0)
-    level = EDGE_SHARE * maximum
+    level, stretch = EDGE_SHARE * maximum, np.gradient(x)
     inside = np.flatnonzero(height >= level)
     low, high = int(inside[0]), int(inside[-1])
-    left = x[low] if low == 0 else np.interp(level, height[[low - 1, low]], x[[low - 1, low]])
-    right = x[high] if high == x.size - 1 else np.interp(level, height[[high + 1, high]], x[[high + 1, high]])
-    return ProfileSize(maximum, float(right - left), float(trapezoid(height, x)))
+    left = x[0] - 0.5 * stretch[0] if low == 0 else np.interp(level, height[[low - 1, low]], x[[low - 1, low]])
+    right = (x[-1] + 0.5 * stretch[-1] if high == x.size - 1
+             else np.interp(level, height[[high + 1, high]], x[[high + 1, high]]))
+    return ProfileSize(maximum, float(right - left), float((height * stretch).sum()))
 
 
 def overlap(first: Profile, second: Profile, align: bool = False) -> Overlap:

@@ -31,15 +31,12 @@ def read_profile(path: str | os.PathLike) -> Profile:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or 'not a text file'}; it should be a CSV file of "
                          f"a profile, {_HEADER}") from None
     header = [name.strip() for name in rows[0]] if rows else []
-    for unit, factor in UNITS.items():
-        names = (f"x_{unit}", f"height_{unit}")
-        if all(name in header for name in names):
-            columns = [header.index(name) for name in names]
-            break
-    else:
+    unit = next((u for u in UNITS if {f"x_{u}", f"height_{u}"} <= set(header)), None)
+    if unit is None:
         raise InputError(f"{path}: {_HEADER}, not {','.join(header)!r}")
+    columns = [header.index(f"x_{unit}"), header.index(f"height_{unit}")]
     points = np.array([[_number(row, column, header, path, number) for column in columns]
-                       for number, row in enumerate(rows[1:], start=1)]).reshape(-1, 2) * factor
+                       for number, row in enumerate(rows[1:], start=1)]).reshape(-1, 2) * UNITS[unit]
     points = points[np.argsort(points[:, 0], kind="stable")]
     if len(points) < 3 or (np.diff(points[:, 0]) <= 0.0).any():
         raise InputError(f"{path}: {len(points)} points; a profile needs at least three, each at an x of its own")

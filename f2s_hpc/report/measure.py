@@ -54,7 +54,11 @@ class Porosity:
 
 @dataclass(eq=False)
 class Measurements:
-    """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI."""
+    """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI.
+
+    ``distributions``: in layers; ``overall``: in the substrate and, last, in the whole deposit; ``rough_along``: of
+    profiles along the track, ``rough_across`` of those across it.
+    """
 
     deposit: Deposit
     settings: Settings
@@ -67,6 +71,7 @@ class Measurements:
     areal: roughness.ArealRoughness | None
     porosity: Porosity | None
     distributions: dict[str, depth.DepthDistribution]
+    overall: dict[str, depth.DepthDistribution]
     flattening: flattening.Flattening
     fits: dict[str, flattening.Regression | None]
     section: Section
@@ -85,11 +90,12 @@ def is_section4(deposit: Deposit) -> bool:
             and deposit.diameters.size == _PAPER_PARTICLES)
 
 
-def measure(deposit: Deposit, settings: Settings = Settings(),  # noqa: B008  (immutable)
+def measure(deposit: Deposit, settings: Settings = Settings(),
             experiment: profile.Profile | None = None) -> Measurements:
     """Return all measurements of a deposit; what it does not allow is left out with a note.
 
-    ``experiment``: a measured profile for the overlapping ratio. Raises ``InputError`` for settings that fit no deposit.
+    ``experiment``: a measured profile for the overlapping ratio. Raises ``InputError`` for settings that fit no
+    deposit.
     """
     if settings.sections < 1 or settings.smallest_pore < 1:
         raise InputError("analyse: the numbers of sections and of pixels of the smallest pore must be at least 1")
@@ -104,7 +110,8 @@ def measure(deposit: Deposit, settings: Settings = Settings(),  # noqa: B008  (i
     found = Measurements(
         deposit, settings, profile.heights(deposit.surface, dense, deposit.ground),
         PAPER_HEIGHT[scheme] if is_section4(deposit) else None, whole, profile.profile_size(whole),
-        None, None, None, _porosity(deposit, settings, notes), _distributions(deposit, settings), flat,
+        None, None, None, _porosity(deposit, settings, notes), _distributions(deposit, settings.layer),
+        _distributions(deposit, deposit.fraction.shape[0] * deposit.dx), flat,
         {"equation_5": flattening.regression(flat.width, flat.equation_5),
          "equation_6": flattening.regression(flat.diameter, flat.equation_6)}, section, planes,
         experiment=experiment, notes=notes)
@@ -136,7 +143,8 @@ def _roughness(found: Measurements) -> None:
     if not (found.rough_along.standard and found.rough_across.standard):
         found.notes.append(f"roughness: profiles of {1e6 * found.rough_along.length:.4g} and "
                            f"{1e6 * found.rough_across.length:.4g} um are shorter than the five cutoffs "
-                           f"({5e6 * cutoff:.4g} um) of ISO 21920; compare only with values of the same length and cutoff")
+                           f"({5e6 * cutoff:.4g} um) of ISO 21920; compare only with values of the same length "
+                           "and cutoff")
 
 
 def median_diameter(deposit: Deposit) -> float:
@@ -163,9 +171,9 @@ def _porosity(deposit: Deposit, settings: Settings, notes: list[str]) -> Porosit
     return Porosity(zone, float(share.sum(dtype=np.float64)) * deposit.dx**3, exact, image, pores)
 
 
-def _distributions(deposit: Deposit, settings: Settings) -> dict[str, depth.DepthDistribution]:
+def _distributions(deposit: Deposit, layer: float) -> dict[str, depth.DepthDistribution]:
     weight = np.where(deposit.landed, np.minimum(deposit.fraction, np.float32(1.0)), np.float32(0.0))
-    return {name: depth.depth_distribution(getattr(deposit, name), weight, deposit.dx, deposit.ground, settings.layer)
+    return {name: depth.depth_distribution(getattr(deposit, name), weight, deposit.dx, deposit.ground, layer)
             for name in ("peeq", "temperature", "von_mises")}
 
 
