@@ -1,7 +1,8 @@
 """Particles in a section, found by the ridges of PEEQ between them, as the paper finds them.
 
 Plastic strain localises where particles meet, so on a map of PEEQ each particle is a basin and its boundary a ridge.
-The map is flooded from its minima (watershed); neighbouring basins between which the ridge rises too little are one.
+Each cell belongs to the minimum it drains to (watershed); neighbouring basins between which the ridge rises too little
+are one.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ SMOOTHING = 0.7
 """Standard deviation (cells) of the Gaussian that takes the noise of single cells out of the map."""
 
 LEAST_PIXELS = 12
-_LEVELS = 65535
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,29 @@ def basins(peeq: np.ndarray, material: np.ndarray, prominence: float = PROMINENC
     if not material.any():
         return np.zeros(peeq.shape, dtype=int)
     smooth = _smoothed(peeq, material, smoothing)
-    top = float(smooth[material].max())
-    scaled = np.full(peeq.shape, _LEVELS, dtype=np.uint16)
-    # the highest level is void's own
-    scaled[material] = np.rint(smooth[material] * ((_LEVELS - 1) / top if top > 0.0 else 0.0)).astype(np.uint16)
-    lowest = material & (scaled == ndimage.minimum_filter(scaled, size=3, mode="nearest"))
-    markers, count = ndimage.label(lowest, structure=np.ones((3, 3)))
-    flooded = ndimage.watershed_ift(scaled, markers.astype(np.int32))
-    flooded[~material] = 0
-    merged = _merge(flooded, smooth, count, prominence)
-    return merged[flooded]
+    flooded, count = _drained(smooth, material)
+    return _merge(flooded, smooth, count, prominence)[flooded]
+
+
+def _drained(height: np.ndarray, material: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return to which minimum each cell drains, 1 to the number of minima, 0 in void, and that number.
+
+    Every cell passes on to the lowest of its eight neighbours (watershed by steepest descent). Equal heights are told
+    apart by their place, so there are no plateaus; a minimum that this splits is one again after the merge.
+    ``scipy.ndimage.watershed_ift`` will not do: it weighs differences of height, so its borders are slopes, not ridges.
+    """
+    order = np.argsort(np.where(material, height, np.inf), axis=None, kind="stable")
+    rank = np.empty(order.size, dtype=np.int64)
+    rank[order] = np.arange(order.size)
+    lowest = ndimage.minimum_filter(rank.reshape(height.shape), size=3, mode="nearest").ravel()
+    target = order[lowest]
+    while not np.array_equal(further := target[target], target):
+        target = further
+    inside = material.ravel()
+    labels = np.zeros(order.size, dtype=np.int64)
+    minima, labels[inside] = np.unique(target[inside], return_inverse=True)
+    labels[inside] += 1
+    return labels.reshape(height.shape), minima.size
 
 
 def _smoothed(peeq: np.ndarray, material: np.ndarray, smoothing: float) -> np.ndarray:

@@ -65,10 +65,9 @@ def section_fields(path: str | os.PathLike, fraction: np.ndarray, fields: Mappin
             _interface(axes, fraction, frame)
             look.colour_bar(figure, image, axes, FIELD_LABELS[name], values[material], limits, beside)
         for axes in panels if beside else panels[-1:]:
-            axes.set_xlabel(f"{frame.axis} (µm)")
+            axes.set_xlabel(f"{frame.axis} (µm), section at {frame.place()}")
         for axes in panels[:1] if beside else panels:
-            axes.set_ylabel("z (µm)")
-        figure.suptitle(f"section at {frame.place()}; z from the substrate top", x=0.01, ha="left", fontsize=9.5)
+            axes.set_ylabel("z above substrate (µm)" if beside else "z (µm)")
 
 
 def particle_boundaries(path: str | os.PathLike, fraction: np.ndarray, peeq: np.ndarray, found: SectionParticles,
