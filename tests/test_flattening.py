@@ -88,6 +88,16 @@ def test_ellipses_in_a_section():
     assert section_particles(peeq, np.ones_like(peeq), DX, ground=66).width.size == 1
 
 
+def test_a_particle_on_the_surface_has_no_clear_boundary():
+    """Fails when free surface counts as a ridge: the lower particle is closed all round, the upper one is not."""
+    peeq, _ = ridged_ellipses()
+    fraction = np.ones_like(peeq)
+    fraction[78:] = 0.0  # cuts into the second ellipse, which reaches from 40 to 100, and touches the first, 40 to 80
+    found = section_particles(peeq, fraction, DX, ground=10)
+    assert found.width.size == 1
+    assert found.width[0] == pytest.approx(100 * DX, abs=4 * DX)
+
+
 def bricks(rng: np.random.Generator, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return PEEQ (81, 121) of a brick wall, bricks 24 x 10 cells with joints of high PEEQ, and each cell's brick."""
     z, x = np.indices((81, 121))

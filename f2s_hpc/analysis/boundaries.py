@@ -21,6 +21,9 @@ SMOOTHING = 0.7
 """Standard deviation (cells) of the Gaussian that takes the noise of single cells out of the map."""
 
 LEAST_PIXELS = 12
+MOST_FREE = 0.25
+"""A particle is left out when more of its outline than this is free surface: nothing there tells where it ends."""
+
 
 
 @dataclass(frozen=True)
@@ -123,14 +126,26 @@ def _merge(flooded: np.ndarray, height: np.ndarray, count: int, prominence: floa
     return np.concatenate([[0], np.unique(found[1:], return_inverse=True)[1] + 1]) if count else found
 
 
+def _free_share(found: np.ndarray) -> np.ndarray:
+    """Return for each basin (index: label) the share of its outline, in cell faces, that borders on void."""
+    outline, free = np.zeros(found.max() + 1), np.zeros(found.max() + 1)
+    for one, two in ((found[:-1], found[1:]), (found[1:], found[:-1]), (found[:, :-1], found[:, 1:]),
+                     (found[:, 1:], found[:, :-1])):
+        border = one != two
+        outline += np.bincount(one[border], minlength=outline.size)
+        free += np.bincount(one[border & (two == 0)], minlength=outline.size)
+    return free / np.maximum(outline, 1.0)
+
+
 def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground: int, prominence: float = PROMINENCE,
                       smoothing: float = SMOOTHING, least_pixels: int = LEAST_PIXELS) -> SectionParticles:
     """Return the particles of a section whose boundary is whole, with their widths and heights.
 
     ``peeq``, ``fraction`` (VF): (up, along), rows from the bottom up; ``dx`` (m); ``ground``: first row above the
     substrate top. Left out, as in the paper, which took "particles with clearer boundaries": basins that touch an edge
-    of the section, whose centre lies in the substrate, or of fewer than ``least_pixels`` cells. Width and height are
-    the extents of the basin. Raises ``InputError`` as :func:`basins` does.
+    of the section, whose centre lies in the substrate, of which more than ``MOST_FREE`` of the outline is free surface,
+    or of fewer than ``least_pixels`` cells. Width and height are the extents of the basin. Raises ``InputError`` as
+    :func:`basins` does.
     """
     material = fraction >= 0.5
     found = basins(peeq, material, prominence, smoothing)
@@ -141,13 +156,13 @@ def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground:
     edge = np.unique(np.concatenate([found[0], found[-1], found[:, 0], found[:, -1]]))
     labels = np.zeros(found.shape, dtype=int)
     widths, tall, clear = [], [], []
-    smooth = _smoothed(peeq, material, smoothing)
+    smooth, free = _smoothed(peeq, material, smoothing), _free_share(found)
     for label, place in enumerate(ndimage.find_objects(found), start=1):
         if place is None or label in edge:
             continue
         own = found[place] == label
         rows = np.nonzero(own)[0] + place[0].start
-        if own.sum() < least_pixels or rows.mean() < ground:
+        if own.sum() < least_pixels or rows.mean() < ground or free[label] > MOST_FREE:
             continue
         tall.append((place[0].stop - place[0].start) * dx)
         widths.append((place[1].stop - place[1].start) * dx)

@@ -18,12 +18,16 @@ from f2s_hpc.report import facts
 from f2s_hpc.report.deposit import load_deposit
 from f2s_hpc.report.draw import draw_all
 from f2s_hpc.report.experiment import read_profile, write_columns
-from f2s_hpc.report.handover import check_handover
+from f2s_hpc.report.handover import check_handover, memory_needed
 from f2s_hpc.report.measure import Measurements, Settings, measure
 from f2s_hpc.report.page import build_page
 from f2s_hpc.report.quantities import Table, percent, quantities, tables
+from f2s_hpc.units import pretty_bytes
 
 ANALYSIS, REPORT = "analysis", "report.html"
+MEMORY_SHARE = 0.7
+"""The hand-over is not checked when the state of the run takes more than this share of the machine's memory."""
+
 _MICRO = 1e6
 
 
@@ -40,7 +44,11 @@ def measured(folder: str, settings: Settings, cycle: int | None = None, experime
     Raises ``InputError`` for what is no run or cannot be measured, ``CheckpointError`` for damaged files.
     """
     found = measure(load_deposit(folder, cycle), settings, experiment)
-    if handover:
+    need = memory_needed(found.deposit.scene)
+    if handover and need > MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+        found.notes.append(f"hand-over between cycles: not checked; it takes {pretty_bytes(need)}, too much for this "
+                           "machine")
+    elif handover:
         found.handover = check_handover(folder)
     return found
 

@@ -8,6 +8,7 @@ the file, bit by bit, in all cells that no new sphere touches and at all nodes t
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pathlib
 import signal
@@ -17,13 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from f2s_hpc import fields
-from f2s_hpc.config import parse_scene
+from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.insert import InsertReport
 from f2s_hpc.cycles.simulation import Simulation
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.io import runs
 from f2s_hpc.kernels import derived, paint
 from f2s_hpc.report.deposit import checkpoints_by_cycle
+from f2s_hpc.state import State
 
 _LAYERS_AT_ONCE = 16
 COMPARED = ("volume_fraction", "peeq", "temperature", "von_mises")
@@ -51,9 +53,10 @@ class Handover:
         return self.different == 0
 
 
-def memory_needed(cells: int, scene: object) -> float:
-    """Return the memory (bytes) that the check takes for a box of ``cells``: the whole state of the solver."""
-    return cells * fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+def memory_needed(scene: Scene) -> float:
+    """Return the memory (bytes) that the check takes: the whole state of the solver."""
+    return math.prod(scene.domain.cells) * fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating,
+                                                                 scene.output.origin)
 
 
 def check_handover(folder: str | os.PathLike) -> Handover | None:
@@ -121,7 +124,7 @@ def _touched_nodes(new: np.ndarray) -> np.ndarray:
     return near
 
 
-def _von_mises_difference(state: object, file: runs.CheckpointLayers, old: np.ndarray) -> float:
+def _von_mises_difference(state: State, file: runs.CheckpointLayers, old: np.ndarray) -> float:
     largest = 0.0
     for first in range(0, old.shape[0], _LAYERS_AT_ONCE):
         layers = slice(first, min(first + _LAYERS_AT_ONCE, old.shape[0]))

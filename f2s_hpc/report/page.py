@@ -23,6 +23,7 @@ th, td { padding: .22rem .7rem; border-bottom: 1px solid #e6e6e6; text-align: ri
 th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 2px solid #999; }
 figure { margin: .8rem 0; flex: 1 1 22rem; } figcaption { color: #555; font-size: .9rem; }
 img { max-width: 100%; height: auto; } .pair { display: flex; flex-wrap: wrap; gap: 1.2rem; align-items: flex-start; }
+.stack figure { flex-basis: 100%; }
 .finding { background: #eef5fa; border-left: 4px solid #0072b2; padding: .6rem 1rem; }
 .note { background: #fdf3e7; border-left: 4px solid #d55e00; padding: .4rem 1rem; margin: .5rem 0; }
 td.bar { width: 14rem; } td.bar span { display: inline-block; height: .8rem; background: #0072b2; }
@@ -56,7 +57,9 @@ def _image(path: pathlib.Path, caption: str) -> str:
 def _figures(name: str, drawn: Mapping[str, list[pathlib.Path]], labels: Sequence[str]) -> str:
     paths = drawn.get(name, [])
     named = [f"{label}. {_CAPTIONS[name]}" if len(paths) > 1 else _CAPTIONS[name] for label in labels[:len(paths)]]
-    return f'<div class="pair">{"".join(_image(p, c) for p, c in zip(paths, named))}</div>' if paths else ""
+    # three panels in a row would be too small to read at half the width of the page
+    kind = "pair stack" if name == "sections" else "pair"
+    return f'<div class="{kind}">{"".join(_image(p, c) for p, c in zip(paths, named))}</div>' if paths else ""
 
 
 def _table(table: Table, title: bool = True) -> str:

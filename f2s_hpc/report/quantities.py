@@ -10,6 +10,7 @@ import numpy as np
 
 from f2s_hpc.report.measure import Measurements
 
+_INDENT = "   "
 PAPER_POROSITY = 0.0053
 """Image porosity of the paper's simulated multi-track deposit, section 5.3 (0.31 % in its micrograph)."""
 
@@ -86,9 +87,9 @@ def _roughness(found: Measurements) -> list[Quantity]:
                              ("across", across, f"along {'x' if track == 'y' else 'y'}")):
         length = f"{rough.profiles} profiles {text}, {1e6 * rough.length:.4g} µm long"
         rows += [_length(group, f"Ra_{key}", f"Ra, {length}", rough.Ra),
-                 _length(group, f"Ra_{key}_scatter", "   its standard deviation over them", rough.Ra_scatter),
+                 _length(group, f"Ra_{key}_scatter", f"{_INDENT}its standard deviation over them", rough.Ra_scatter),
                  _length(group, f"Rq_{key}", f"Rq, {text}", rough.Rq),
-                 _length(group, f"Rq_{key}_scatter", "   its standard deviation over them", rough.Rq_scatter),
+                 _length(group, f"Rq_{key}_scatter", f"{_INDENT}its standard deviation over them", rough.Rq_scatter),
                  _length(group, f"Pa_{key}", f"Pa, {text}, without filter", rough.Pa),
                  _length(group, f"Pq_{key}", f"Pq, {text}, without filter", rough.Pq)]
     return [*rows, _length(group, "Sa", "Sa", areal.Sa), _length(group, "Sq", "Sq", areal.Sq),
@@ -101,17 +102,19 @@ def _porosity(found: Measurements) -> list[Quantity]:
     porosity = found.porosity
     if porosity is None:
         return []
-    group = (f"Porosity of the bulk (above the substrate top, {1e6 * porosity.zone:.1f} µm of surface left out)")
+    group = "Porosity of the bulk (above the substrate top, below the surface zone)"
     image, pores = porosity.image, porosity.pores
     paper = PAPER_POROSITY if found.paper_height is not None else None
     return [_share(group, "porosity_exact", "exact, from volume fractions", porosity.exact),
             _share(group, "porosity_image", f"image analysis, mean of {image.sections} sections, threshold 0.5, pores "
                                             f"of {image.smallest} pixels or more", image.mean, paper),
-            _share(group, "porosity_image_scatter", "   its standard deviation over them", image.scatter),
+            _share(group, "porosity_image_scatter", f"{_INDENT}its standard deviation over them", image.scatter),
             _share(group, "porosity_open", "open to the surface", pores.open),
-            _share(group, "porosity_closed", f"closed (number of pores: {pores.pores})", pores.closed),
+            _share(group, "porosity_closed", "closed", pores.closed),
             _share(group, "porosity_thin", "in cells more than half full", pores.thin),
+            Quantity(group, "porosity_closed_pores", "number of closed pores", float(pores.pores), "", 1.0, ".0f"),
             Quantity(group, "porosity_largest_pore_m3", "largest closed pore", pores.largest, "µm³", 1e18, ".4g"),
+            _length(group, "porosity_surface_zone", "surface zone left out", porosity.zone),
             Quantity(group, "porosity_bulk_volume_m3", "volume of the bulk", porosity.volume, "µm³", 1e18, ".4g")]
 
 
@@ -122,8 +125,9 @@ def _mean(values: np.ndarray) -> float | None:
 
 def _flattening(found: Measurements) -> list[Quantity]:
     flat = found.flattening
-    group = f"Flattening, particles found by PEEQ ridges in {found.section_planes} sections"
-    rows = [Quantity(group, "flattening_particles", "particles measured", float(flat.count), "", 1.0, ".0f"),
+    group = "Flattening of particles in sections, found by ridges of PEEQ"
+    rows = [Quantity(group, "flattening_sections", "sections", float(found.section_planes), "", 1.0, ".0f"),
+            Quantity(group, "flattening_particles", "particles measured", float(flat.count), "", 1.0, ".0f"),
             Quantity(group, "flattening_equation_5", "mean of W/H, Eq. (5)", _mean(flat.equation_5), "", 1.0, ".3f"),
             Quantity(group, "flattening_equation_6", "mean of W/D, Eq. (6)", _mean(flat.equation_6), "", 1.0, ".3f"),
             _length(group, "flattening_width", "mean width W", _mean(flat.width)),
@@ -133,8 +137,8 @@ def _flattening(found: Measurements) -> list[Quantity]:
         if fit is not None:
             rows += [Quantity(group, f"flattening_{key}_slope_per_m", f"slope of {name}", fit.slope, "1/µm", 1e-6,
                               ".4f"),
-                     Quantity(group, f"flattening_{key}_slope_error_per_m", "   its standard error", fit.slope_error,
-                              "1/µm", 1e-6, ".4f"),
+                     Quantity(group, f"flattening_{key}_slope_error_per_m", f"{_INDENT}its standard error",
+                              fit.slope_error, "1/µm", 1e-6, ".4f"),
                      Quantity(group, f"flattening_{key}_intercept", f"intercept of {name}", fit.intercept, "", 1.0,
                               ".3f")]
     return rows
@@ -197,7 +201,9 @@ def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
             others = [keys.get(q.key) for keys in by_key]
             line = [q.name, q.unit, *(o.text() if o else "-" for o in others)]
             if len(runs) == 2:
-                line.append(percent(others[1].value if others[1] else None, q.value))
+                # by how many percent a scatter differs says nothing
+                own = q.name.startswith(_INDENT)
+                line.append("" if own else percent(others[1].value if others[1] else None, q.value))
             if with_paper:
                 line += ["-", "-"] if q.paper is None else [q.text(q.paper), percent(q.value, q.paper)]
             rows.append(line)
