@@ -20,6 +20,7 @@ from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.report.commands import as_dictionary
 from f2s_hpc.report.deposit import load_deposit
+from f2s_hpc.report.draw import draw_all
 from f2s_hpc.report.facts import flattening_verdict
 from f2s_hpc.report.handover import check_handover
 from f2s_hpc.report.measure import Settings, is_section4, measure
@@ -278,6 +279,23 @@ def test_a_checkpoint_cut_short_is_passed_over(two_runs, tmp_path):
     list_checkpoints(copy / layout.CHECKPOINTS)[-1].write_bytes(b"short")
     deposit = load_deposit(copy)
     assert (deposit.cycle, deposit.source.suffix) == (2, ".vtkhdf")
+
+
+def test_before_anything_has_landed_there_is_nothing_to_measure(two_runs, tmp_path):
+    """Fails when the substrate passes for the deposit, or a figure asks for particles that are not there."""
+    deposit = load_deposit(two_runs[0])
+    bare = deposit.fraction.copy()
+    bare[5:] = 0.0
+    empty = dataclasses.replace(deposit, fraction=bare, surface=np.full(deposit.surface.shape, deposit.ground))
+    found = measure(empty, Settings(cutoff=30e-6))
+    values = {q.key: q.value for q in quantities(found)}
+    assert values["height_mean_m"] == pytest.approx(0.0, abs=1e-12)
+    assert values["peeq_p50"] is None
+    assert values["flattening_particles"] == 0.0
+    assert found.porosity is None
+    assert len(draw_all(tmp_path, [("", found)])) >= 7
+    assert flattening_verdict(["A", "B"], found, found).startswith("Which flattens more cannot be told")
+    assert json.dumps(as_dictionary(found), allow_nan=False)
 
 
 def test_a_thin_deposit_has_no_bulk_and_says_so(two_runs, capsys):

@@ -21,7 +21,7 @@ from f2s_hpc.report.experiment import read_profile, write_columns
 from f2s_hpc.report.handover import check_handover, memory_needed
 from f2s_hpc.report.measure import Measurements, Settings, measure
 from f2s_hpc.report.page import build_page
-from f2s_hpc.report.quantities import Table, percent, quantities, tables
+from f2s_hpc.report.quantities import depth_tables, quantities, tables
 from f2s_hpc.units import pretty_bytes
 
 ANALYSIS, REPORT = "analysis", "report.html"
@@ -49,7 +49,7 @@ def measured(folder: str, settings: Settings, cycle: int | None = None, experime
         found.notes.append(f"hand-over between cycles: not checked; it takes {pretty_bytes(need)}, too much for this "
                            "machine")
     elif handover:
-        found.handover = check_handover(folder)
+        found.handover = check_handover(folder, cycle)
     return found
 
 
@@ -66,7 +66,7 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
     place = pathlib.Path(out) if out else pathlib.Path(folder) / ANALYSIS
     _make(place)
     print(f"{found.deposit.scene.title}: {facts.subtitle([('', found)])}, from {found.deposit.source}")
-    print("\n\n".join(table.as_text() for table in [*tables([("", found)]), *_depth_tables([("", found)])]))
+    print("\n\n".join(table.as_text() for table in [*tables([("", found)]), *depth_tables([("", found)])]))
     if handover:
         print(f"\nHand-over between cycles: {facts.handover_text(found.handover)}")
     for note in found.notes:
@@ -108,7 +108,7 @@ def compare_measurements(first: str, second: str, settings: Settings) -> str:
     """Return the measurements of two runs and their differences in percent, as text."""
     runs = [(label, measured(folder, settings, handover=False))
             for label, folder in zip(run_labels([first, second]), (first, second))]
-    parts = [table.as_text() for table in [*tables(runs), *_depth_tables(runs)]]
+    parts = [table.as_text() for table in [*tables(runs), *depth_tables(runs)]]
     return "\n\n".join([*parts, _profile_difference(runs), facts.flattening_verdict([n for n, _ in runs], runs[0][1],
                                                                                       runs[1][1])])
 
@@ -131,34 +131,6 @@ def _profile_difference(runs: facts.Runs) -> str:
     worst = float(np.abs(gap).max())
     return (f"Mean profiles: {_MICRO * rms:.2f} µm apart (root mean square), at most {_MICRO * worst:.2f} µm; "
             f"{100 * rms / scale:.1f} and {100 * worst / scale:.1f} % of the maximum of the first")
-
-
-def _depth_tables(runs: facts.Runs) -> list[Table]:
-    """Return PEEQ, temperature and stress by depth: the medians in the layers of the first run."""
-    result = []
-    for name, title, shift, scale, form in (("peeq", "PEEQ", 0.0, 1.0, ".3f"),
-                                            ("temperature", "Temperature (°C)", 273.15, 1.0, ".1f"),
-                                            ("von_mises", "Von Mises stress (MPa)", 0.0, 1e-6, ".1f")):
-        own = runs[0][1].distributions[name]
-        columns = [own.median]
-        if len(runs) == 2:
-            other = runs[1][1].distributions[name]
-            known = np.isfinite(other.median)
-            columns.append(np.interp(own.middle, other.middle[known], other.median[known], left=np.nan, right=np.nan))
-        rows = []
-        for n in range(own.low.size):
-            values = [(float(column[n]) - shift) * scale for column in columns]
-            line = [f"{_MICRO * own.low[n]:.0f} to {_MICRO * own.high[n]:.0f} µm",
-                    *("-" if math.isnan(v) else f"{v:{form}}" for v in values)]
-            if len(runs) == 1:
-                line += [f"{(v - shift) * scale:{form}}" for v in own.percentiles[n][[0, -1]]]
-            else:
-                line.append(percent(values[1], values[0]))
-            rows.append(line)
-        head = (["height", "median", "5 %", "95 %"] if len(runs) == 1
-                else ["height", *(label for label, _ in runs), "difference"])
-        result.append(Table(f"{title} by height above the substrate top, median by volume", head, rows[::-1]))
-    return result
 
 
 def as_dictionary(found: Measurements) -> dict:

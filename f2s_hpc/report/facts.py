@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from f2s_hpc.analysis.depth import weighted_percentiles
+from f2s_hpc.analysis.depth import SHARES, weighted_percentiles
 from f2s_hpc.analysis.flattening import MeanDifference, mean_difference
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import runs as run_files
 from f2s_hpc.report.handover import Handover
-from f2s_hpc.report.measure import Measurements
+from f2s_hpc.report.measure import Measurements, deposit_percentiles
 from f2s_hpc.report.quantities import Table, percent
 from f2s_hpc.units import pretty, pretty_bytes
 
@@ -35,6 +35,8 @@ METHODS = (
      "surface as seen from above. Exact: one less the mean volume fraction. Image: sections thresholded at 0.5, as "
      "the paper does. Open pores are connected through cell faces to the free space above; sides of the box are no "
      "way out."),
+    ("Hand-over: the checkpoint at the end of a cycle is loaded, the next batch painted as the run paints it, and "
+     "every saved field compared with the file in all cells that no new sphere touches (Fig. 6 of the paper)."),
     ("Flattening: on each section, at distances of the median diameter, basins of PEEQ between ridges are taken as "
      "particles, and those whose whole boundary is inside the section and above the substrate are measured: W and H "
      "are their extents, Eq. (5) is W/H, Eq. (6) W/D with D the cube root of W W H. A section rarely cuts a particle "
@@ -186,7 +188,7 @@ def findings(runs: Runs) -> list[str]:
         texts.append(f"{text}.")
     if len(runs) == 2:
         texts.append(flattening_verdict([label for label, _ in runs], runs[0][1], runs[1][1]))
-        medians = [m.overall["peeq"].median[-1] for _, m in runs]
+        medians = [float(deposit_percentiles(m, "peeq")[SHARES.index(0.5)]) for _, m in runs]
         texts.append(f"Median PEEQ of the deposit: {medians[0]:.3f} ({runs[0][0]}) and {medians[1]:.3f} ({runs[1][0]}, "
                      f"{percent(medians[1], medians[0])}).")
     return texts

@@ -59,13 +59,15 @@ def memory_needed(scene: Scene) -> float:
                                                                  scene.output.origin)
 
 
-def check_handover(folder: str | os.PathLike) -> Handover | None:
-    """Check the newest hand-over of the run in ``folder`` that still can be; None when no checkpoint allows it.
+def check_handover(folder: str | os.PathLike, cycle: int | None = None) -> Handover | None:
+    """Check the hand-over at the end of ``cycle`` of the run in ``folder``, or else the newest that still can be.
 
-    That is the newest checkpoint at the end of a cycle that another cycle follows. Nothing is written.
-    Raises ``CheckpointError`` for a damaged checkpoint.
+    It needs a checkpoint at the end of a cycle that another cycle follows; None when there is no such one. Nothing is
+    written. Raises ``CheckpointError`` for a damaged checkpoint.
     """
-    for _, path in sorted(checkpoints_by_cycle(folder).items(), reverse=True):
+    there = checkpoints_by_cycle(folder)
+    for number in sorted(there, key=lambda n: (n == cycle, n), reverse=True):
+        path = there[number]
         attributes = runs.open_checkpoint_serial(path, [])[1]
         scene = parse_scene(attributes["scene"], str(path))
         if attributes["cycle"] < scene.cycles.count:

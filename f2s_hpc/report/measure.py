@@ -56,7 +56,7 @@ class Porosity:
 class Measurements:
     """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI.
 
-    ``distributions``: in layers; ``overall``: in the substrate and, last, in the whole deposit; ``rough_along``: of
+    ``distributions``: in layers; ``overall``: in the whole substrate and in the whole deposit; ``rough_along``: of
     profiles along the track, ``rough_across`` of those across it.
     """
 
@@ -80,6 +80,13 @@ class Measurements:
     overlap: profile.Overlap | None = None
     handover: Handover | None = None
     notes: list[str] = field(default_factory=list)
+
+
+def deposit_percentiles(found: Measurements, name: str) -> np.ndarray:
+    """Return the percentiles (at ``depth.SHARES``) of a field in the whole deposit; NaN while nothing has landed."""
+    whole = found.overall[name]
+    above = whole.low > -0.5 * found.deposit.dx
+    return whole.percentiles[above][-1] if above.any() else np.full(len(whole.shares), np.nan)
 
 
 def is_section4(deposit: Deposit) -> bool:

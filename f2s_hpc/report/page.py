@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import f2s_hpc
 from f2s_hpc.report import facts
 from f2s_hpc.report.measure import Measurements
-from f2s_hpc.report.quantities import Table, tables
+from f2s_hpc.report.quantities import Table, depth_tables, tables
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #1a1a1a; max-width: 70rem;
@@ -27,6 +27,7 @@ img { max-width: 100%; height: auto; } .pair { display: flex; flex-wrap: wrap; g
 .finding { background: #eef5fa; border-left: 4px solid #0072b2; padding: .6rem 1rem; }
 .note { background: #fdf3e7; border-left: 4px solid #d55e00; padding: .4rem 1rem; margin: .5rem 0; }
 td.bar { width: 14rem; } td.bar span { display: inline-block; height: .8rem; background: #0072b2; }
+summary { cursor: pointer; }
 @media print { body { margin: 0; } h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
 """
 
@@ -101,6 +102,9 @@ def build_page(runs: Sequence[tuple[str, Measurements]], drawn: Mapping[str, lis
             ("Flattening", "Flattening", ("boundaries", "flattening"))):
         content = (_table(by_group[group]) if group in by_group else "") + "".join(
             _figures(picture, drawn, labels) for picture in pictures)
+        if group == "State":
+            content += "<details><summary>In numbers, layer by layer</summary>" + "".join(
+                map(_table, depth_tables(runs))) + "</details>"
         parts.append((name, content or "<p>Not measured; see the notes.</p>"))
     parts.append(("Hand-over between cycles", "".join(
         f"<p>{_escape(f'{label}: ' if label else '')}{_escape(facts.handover_text(m.handover))}</p>"

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f2s_hpc.report.measure import Measurements
+from f2s_hpc.analysis.depth import SHARES
+from f2s_hpc.report.measure import Measurements, deposit_percentiles
 
 _INDENT = "   "
 PAPER_POROSITY = 0.0053
@@ -66,8 +67,10 @@ def _profile(found: Measurements) -> list[Quantity]:
             _length(group, "profile_width", "width at 5 % of the maximum", size.width),
             Quantity(group, "profile_area_m2", "area", size.area, "µm²", 1e12, ".1f")]
     if over is not None:
-        rows += [Quantity(group, "experiment_maximum_m", "maximum height of the experiment",
-                          float(found.experiment.height.max()), "µm", 1e6, ".2f"),
+        top = float(found.experiment.height.max())
+        rows += [_length(group, "experiment_maximum", "maximum height of the experiment", top),
+                 Quantity(group, "maximum_off_experiment", "maximum height, off the experiment",
+                          size.maximum / top - 1.0, "%", 100.0, "+.1f"),
                  Quantity(group, "overlap_over_union", "overlap with the experiment, common area over union",
                           over.over_union, "%", 100.0, ".1f"),
                  Quantity(group, "overlap_over_experiment", "common area over that of the experiment",
@@ -150,9 +153,8 @@ def _overall(found: Measurements) -> list[Quantity]:
     for name, text, unit, scale, form, shift in (("peeq", "PEEQ", "", 1.0, ".3f", 0.0),
                                                  ("temperature", "temperature", "°C", 1.0, ".1f", 273.15),
                                                  ("von_mises", "von Mises stress", "MPa", 1e-6, ".1f", 0.0)):
-        whole = found.overall[name]
         unit_key = {"": "", "°C": "_degC", "MPa": "_Pa"}[unit]
-        for share, value in zip(whole.shares, whole.percentiles[-1] if whole.volume.size else ()):
+        for share, value in zip(SHARES, deposit_percentiles(found, name)):
             if share in (0.05, 0.5, 0.95):
                 label = "median" if share == 0.5 else f"{100 * share:.0f}th percentile"
                 rows.append(Quantity(group, f"{name}_p{100 * share:02.0f}{unit_key}", f"{text}, {label}",
@@ -208,4 +210,36 @@ def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
                 line += ["-", "-"] if q.paper is None else [q.text(q.paper), percent(q.value, q.paper)]
             rows.append(line)
         result.append(Table(group, head, rows))
+    return result
+
+
+def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
+    """Return PEEQ, temperature and stress by depth as tables, from the top down, in the layers of the first run.
+
+    With one run: median, 5 and 95 %; with two, both medians, the second's read off between its layers, and by how much
+    it exceeds the first.
+    """
+    result = []
+    for name, title, shift, scale, form in (("peeq", "PEEQ", 0.0, 1.0, ".3f"),
+                                            ("temperature", "Temperature (°C)", 273.15, 1.0, ".1f"),
+                                            ("von_mises", "Von Mises stress (MPa)", 0.0, 1e-6, ".1f")):
+        own = runs[0][1].distributions[name]
+        columns = [own.median]
+        if len(runs) == 2:
+            other = runs[1][1].distributions[name]
+            known = np.isfinite(other.median)
+            columns.append(np.interp(own.middle, other.middle[known], other.median[known], left=np.nan, right=np.nan))
+        rows = []
+        for n in range(own.low.size):
+            values = [(float(column[n]) - shift) * scale for column in columns]
+            line = [f"{1e6 * own.low[n]:.0f} to {1e6 * own.high[n]:.0f} µm",
+                    *("-" if math.isnan(v) else f"{v:{form}}" for v in values)]
+            if len(runs) == 1:
+                line += [f"{(v - shift) * scale:{form}}" for v in own.percentiles[n][[0, -1]]]
+            else:
+                line.append(percent(values[1], values[0]))
+            rows.append(line)
+        head = (["height", "median", "5 %", "95 %"] if len(runs) == 1
+                else ["height", *(label for label, _ in runs), "difference"])
+        result.append(Table(f"{title} by height above the substrate top, median by volume", head, rows[::-1]))
     return result
