@@ -25,6 +25,16 @@ def test_a_linear_field():
     assert found.percentiles[:, -1] == pytest.approx(found.high + 20e-6 - 0.5 * DX)
 
 
+def test_a_cell_that_the_substrate_top_crosses_is_substrate():
+    """Fails when the bound is rounded to the nearest cell: substrate would count as deposit."""
+    field = np.arange(20.0)[:, None, None] * np.ones((1, 2, 2))
+    found = depth_distribution(field, np.ones_like(field), DX, 5 * DX, layer=40 * DX)
+    assert found.median.tolist() == [2.0, 12.0]
+    found = depth_distribution(field, np.ones_like(field), DX, 4.5 * DX, layer=40 * DX)
+    assert found.median.tolist() == [2.0, 12.0]
+    assert found.low == pytest.approx([-4.5 * DX, 0.5 * DX])
+
+
 def test_a_linear_field_across_weighs_by_volume():
     """Values 0 to 1 along x, half of the volume missing where they are high. Fails when cells count alike."""
     x = (np.arange(1000) + 0.5) / 1000

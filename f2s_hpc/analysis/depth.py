@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -60,7 +61,7 @@ def depth_distribution(field: np.ndarray, weight: np.ndarray, dx: float, substra
 
     ``field``: cells, (nz, ny, nx), any unit; ``weight``: volume of material in each cell over that of the cell (the
     volume fraction, 0 where it should not count), same shape; ``dx``, ``substrate_height`` in m; ``layer``: wanted
-    thickness (m), rounded to whole cells, with a bound at the substrate top rounded to a cell.
+    thickness (m), rounded to whole cells, with a bound at the substrate top; a cell that it crosses is substrate.
     Raises ``InputError`` when the shapes differ or ``layer`` is not positive.
     """
     if field.ndim != 3 or field.shape != weight.shape:
@@ -68,7 +69,7 @@ def depth_distribution(field: np.ndarray, weight: np.ndarray, dx: float, substra
                          "(nz, ny, nx)")
     if not layer > 0.0:
         raise InputError(f"distribution by depth: layers of {1e6 * layer:g} um; they must be thicker than nothing")
-    nz, thick, ground = field.shape[0], max(1, round(layer / dx)), round(substrate_height / dx)
+    nz, thick, ground = field.shape[0], max(1, round(layer / dx)), math.ceil(substrate_height / dx - 1e-6)
     first = ground - thick * (ground // thick + (1 if ground % thick else 0))
     rows = []
     for start in range(first, nz, thick):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -85,7 +86,7 @@ class Measurements:
 def deposit_percentiles(found: Measurements, name: str) -> np.ndarray:
     """Return the percentiles (at ``depth.SHARES``) of a field in the whole deposit; NaN while nothing has landed."""
     whole = found.overall[name]
-    above = whole.low > -0.5 * found.deposit.dx
+    above = whole.low > -1e-6 * found.deposit.dx
     return whole.percentiles[above][-1] if above.any() else np.full(len(whole.shares), np.nan)
 
 
@@ -198,7 +199,7 @@ def particles_of_plane(deposit: Deposit, axis: int, index: int, prominence: floa
     """Return the particles of one vertical section of a deposit."""
     fraction = np.where(np.take(deposit.landed, index, axis), np.take(deposit.fraction, index, axis), 0.0)
     return boundaries.section_particles(np.take(deposit.peeq, index, axis), fraction, deposit.dx,
-                                        round(deposit.ground / deposit.dx), prominence)
+                                        math.ceil(deposit.ground / deposit.dx - 1e-6), prominence)
 
 
 def _flattening(deposit: Deposit, settings: Settings, notes: list[str]) -> tuple[flattening.Flattening, int]:
