@@ -131,6 +131,11 @@ def test_low_ridges_are_no_boundaries(rng):
     """Fails when prominence is taken against the deeper basin, or not at all."""
     peeq, _ = bricks(rng)
     assert basins(peeq, np.ones(peeq.shape, dtype=bool), prominence=0.9).max() == 1
+    # a deep basin (0.2) and a shallow one (0.9) beyond a ridge of 1: the ridge hardly rises above the shallow one
+    row = np.interp(np.arange(61), [0, 20, 30, 45, 60], [1.0, 0.2, 1.0, 0.9, 1.05])
+    section, material = np.tile(row, (12, 1)), np.ones((12, 61), dtype=bool)
+    assert basins(section, material, prominence=0.15, smoothing=0.0).max() == 1
+    assert basins(section, material, prominence=0.05, smoothing=0.0).max() == 2
 
 
 def test_void_parts_particles_of_equal_strain():
@@ -177,5 +182,10 @@ def test_difference_of_means(rng):
     assert more.decided
     assert more.difference == pytest.approx(0.2, abs=0.05)
     assert more.low < more.difference < more.high
+    first, second = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 4.0, 6.0, 8.0])
+    a, b = first.var(ddof=1) / 4, second.var(ddof=1) / 4
+    half = stats.t.ppf(0.95, (a + b) ** 2 / ((a**2 + b**2) / 3)) * math.sqrt(a + b)
+    found = mean_difference(first, second)
+    assert (found.low, found.high) == (pytest.approx(2.5 - half), pytest.approx(2.5 + half))
     assert not mean_difference(np.array([1.0, 2.0, np.nan]), np.array([1.1, 1.8])).decided
     assert mean_difference(np.ones(1), np.ones(5)) is None

@@ -113,9 +113,12 @@ def _frames_by_cycle(folder: pathlib.Path) -> dict[int, int]:
     return found
 
 
-def _from_checkpoint(folder: pathlib.Path, cycle: int, path: pathlib.Path) -> Deposit:
+def checkpoint_fields(path: pathlib.Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Return ``FRAME_FIELDS`` of a checkpoint, float32 (nz, ny, nx), as a frame would hold them, and its attributes.
+
+    Read in slabs of layers, so that no field is ever held in float64. Raises ``CheckpointError``.
+    """
     with runs.CheckpointLayers(path) as file:
-        scene = parse_scene(file.attributes["scene"], str(path))
         shape = file.shapes["volume_fraction"]
         arrays = {name: np.empty(shape, dtype=np.float32) for name in FRAME_FIELDS}
         for first in range(0, shape[0], _LAYERS_AT_ONCE):
@@ -128,8 +131,14 @@ def _from_checkpoint(folder: pathlib.Path, cycle: int, path: pathlib.Path) -> De
             derived.cell_speed(out.shape, file.layers("mass", first, last).reshape(-1),
                                *(file.layers(n, first, last + 1).reshape(-1) for n in VELOCITY), out.reshape(-1))
             arrays["speed"][first:last] = out
-        clock = file.attributes["clock"]
-    return _deposit(folder, scene, cycle, clock["cycle_start"] + clock["in_cycle"], path, arrays)
+        return arrays, file.attributes
+
+
+def _from_checkpoint(folder: pathlib.Path, cycle: int, path: pathlib.Path) -> Deposit:
+    arrays, attributes = checkpoint_fields(path)
+    clock = attributes["clock"]
+    return _deposit(folder, parse_scene(attributes["scene"], str(path)), cycle,
+                    clock["cycle_start"] + clock["in_cycle"], path, arrays)
 
 
 def _from_frame(folder: pathlib.Path, cycle: int, number: int) -> Deposit:
