@@ -11,7 +11,7 @@ from f2s_hpc.analysis.flattening import MeanDifference, mean_difference
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import runs as run_files
 from f2s_hpc.report.handover import Handover
-from f2s_hpc.report.measure import Measurements, deposit_percentiles
+from f2s_hpc.report.measure import Measurements, deposit_percentiles, median_diameter
 from f2s_hpc.report.quantities import Table, percent
 from f2s_hpc.units import pretty, pretty_bytes
 
@@ -38,9 +38,9 @@ METHODS = (
     ("Hand-over: the checkpoint at the end of a cycle is loaded, the next batch painted as the run paints it, and "
      "every saved field compared with the file in all cells that no new sphere touches (Fig. 6 of the paper)."),
     ("Flattening: on each section, at distances of the median diameter, basins of PEEQ between ridges are taken as "
-     "particles, and those whose whole boundary is inside the section and above the substrate are measured: W and H "
-     "are their extents, Eq. (5) is W/H, Eq. (6) W/D with D the cube root of W W H. A section rarely cuts a particle "
-     "through its middle, in a micrograph as here."),
+     "particles. Measured are those whose boundary is inside the section, not at the free surface, and above the "
+     "substrate: W and H are their extents, Eq. (5) is W/H, Eq. (6) W/D with D the cube root of W W H. A section "
+     "rarely cuts a particle through its middle, in a micrograph as here."),
 )
 
 
@@ -56,6 +56,11 @@ def _rows(runs: Runs, entries: Sequence[tuple[str, Callable[[Measurements], str]
     return Table("", ["", *(label or "value" for label, _ in runs)], rows)
 
 
+def _shown(value: float, dimension: str, digits: int = 4) -> str:
+    """Return a quantity with its unit as a page writes it."""
+    return pretty(value, dimension, digits).replace(" um", " µm").replace("degC", "°C")
+
+
 def scene_table(runs: Runs) -> Table:
     """Return the scene of each run as a table."""
     def box(m: Measurements) -> str:
@@ -64,12 +69,12 @@ def scene_table(runs: Runs) -> Table:
     return _rows(runs, (
         ("scene", lambda m: m.deposit.scene.title), ("scheme", lambda m: m.deposit.scene.scheme),
         ("flow stress", lambda m: m.deposit.scene.material.flow_stress.model.replace("_", " ")),
-        ("box", box), ("cell size", lambda m: pretty(m.deposit.dx, "length")),
+        ("box", box), ("cell size", lambda m: _shown(m.deposit.dx, "length")),
         ("cells", lambda m: f"{m.deposit.fraction.size:,}"),
-        ("substrate", lambda m: f"{pretty(m.deposit.ground, 'length')} thick, "
-                                f"{pretty(m.deposit.scene.substrate.temperature, 'temperature')}"),
-        ("particle speed", lambda m: pretty(m.deposit.scene.particles.speed, "speed")),
-        ("particle temperature", lambda m: pretty(m.deposit.scene.particles.temperature, "temperature")),
+        ("substrate", lambda m: f"{_shown(m.deposit.ground, 'length')} thick, "
+                                f"{_shown(m.deposit.scene.substrate.temperature, 'temperature')}"),
+        ("particle speed", lambda m: _shown(m.deposit.scene.particles.speed, "speed")),
+        ("particle temperature", lambda m: _shown(m.deposit.scene.particles.temperature, "temperature")),
         ("state shown", lambda m: f"end of cycle {m.deposit.cycle} of {m.deposit.scene.cycles.count}, "
                                   f"{1e6 * m.deposit.time:.3f} µs"),
         ("read from", lambda m: m.deposit.source.name)))
@@ -80,14 +85,13 @@ def particle_table(runs: Runs) -> Table:
     def size(share: float) -> Callable[[Measurements], str]:
         def text(m: Measurements) -> str:
             d = m.deposit.diameters
-            return pretty(float(weighted_percentiles(d, d**3, (share,))[0]), "length", 3) if d.size else "-"
+            return _shown(float(weighted_percentiles(d, d**3, (share,))[0]), "length", 3) if d.size else "-"
         return text
 
     return _rows(runs, (
         ("particles painted", lambda m: f"{m.deposit.diameters.size:,}"),
         *((f"D{100 * share:.0f} by volume", size(share)) for share in (0.1, 0.5, 0.9)),
-        ("cells per median diameter", lambda m: f"{np.median(m.deposit.diameters) / m.deposit.dx:.1f}"
-                                      if m.deposit.diameters.size else "-")))
+        ("cells per D50", lambda m: f"{median_diameter(m.deposit) / m.deposit.dx:.1f}")))
 
 
 def _cycle_row(m: Measurements) -> dict[str, str]:

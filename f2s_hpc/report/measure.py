@@ -150,8 +150,8 @@ def _roughness(found: Measurements) -> None:
     found.areal = roughness.areal_roughness(deposit.surface, deposit.dx, cutoff, ends)
     if not (found.rough_along.standard and found.rough_across.standard):
         found.notes.append(f"roughness: profiles of {1e6 * found.rough_along.length:.4g} and "
-                           f"{1e6 * found.rough_across.length:.4g} um are shorter than the five cutoffs "
-                           f"({5e6 * cutoff:.4g} um) of ISO 21920; compare only with values of the same length "
+                           f"{1e6 * found.rough_across.length:.4g} µm are shorter than the five cutoffs "
+                           f"({5e6 * cutoff:.4g} µm) of ISO 21920; compare only with values of the same length "
                            "and cutoff")
 
 
@@ -174,7 +174,7 @@ def _porosity(deposit: Deposit, settings: Settings, notes: list[str]) -> Porosit
         image = porosity.section_porosity(deposit.fraction, share, settings.sections, settings.smallest_pore)
         pores = porosity.split_pores(deposit.fraction, share, deposit.surface, deposit.dx)
     except InputError as error:
-        notes.append(f"{error} ({1e6 * zone:.3g} um)")
+        notes.append(f"{error} ({1e6 * zone:.3g} µm)")
         return None
     return Porosity(zone, float(share.sum(dtype=np.float64)) * deposit.dx**3, exact, image, pores)
 

@@ -166,7 +166,8 @@ def percent(first: float | None, second: float | None) -> str:
     """Return how much ``first`` exceeds ``second``, in percent of it, as text; "-" where that has no meaning."""
     if first is None or second is None or not (math.isfinite(first) and math.isfinite(second)) or second == 0.0:
         return "-" if first != second else "0.0 %"
-    return f"{100.0 * (first / second - 1.0):+.1f} %"
+    # + 0.0 turns a negative zero into a plain one
+    return f"{round(100.0 * (first / second - 1.0), 1) + 0.0:+.1f} %"
 
 
 @dataclass(frozen=True)
