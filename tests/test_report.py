@@ -13,7 +13,7 @@ import shutil
 import numpy as np
 import pytest
 
-from f2s_hpc.analysis.surface import surface_height
+from f2s_hpc.analysis.surface import attached_material, surface_height
 from f2s_hpc.cli.main import main
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import layout, runs
@@ -112,8 +112,11 @@ def test_a_checkpoint_is_read_as_the_run_saw_it(two_runs, cycle, monkeypatch):
         np.testing.assert_array_equal(array, frame[name], err_msg=name)
     deposit = load_deposit(two_runs[0], cycle)
     assert deposit.source.suffix == ".h5"
-    assert deposit.landed.tolist() == (frame["speed"] < 61.5).tolist()
-    np.testing.assert_array_equal(deposit.surface, surface_height(frame["volume_fraction"], frame["speed"], 6e-6, 61.5))
+    fraction, slow = frame["volume_fraction"], frame["speed"] < 61.5
+    assert deposit.landed.tolist() == attached_material(fraction, slow).tolist()
+    assert deposit.detached == pytest.approx(fraction[slow & ~deposit.landed].sum(dtype=float) * 6e-6**3)
+    expected = surface_height(fraction, np.where(deposit.landed, 0.0, 615.0), 6e-6, 61.5)
+    np.testing.assert_array_equal(deposit.surface, expected)
     assert deposit.diameters.size == 6 * cycle
 
 

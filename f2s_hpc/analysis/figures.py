@@ -15,6 +15,9 @@ from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import mean_line
 
 LEAST_FILL = 0.03
+HEIGHT_SHARES = (2.0, 98.0)
+"""Percentiles of the height between which a map has its colours: a single splash should not take them all."""
+
 FIELD_LABELS = {"peeq": "PEEQ", "temperature": "temperature (°C)", "von_mises": "von Mises stress (MPa)"}
 
 
@@ -32,7 +35,7 @@ def height_map(path: str | os.PathLike, surface: np.ndarray, dx: float, ground: 
     ``surface``: heights above the bottom of the box (m), (ny, nx); ``dx``, ``ground`` in m.
     """
     height = (surface - ground) * MICRO
-    bounds = bounds or look.limits([height])
+    bounds = bounds or look.limits([height], *HEIGHT_SHARES)
     wide = 4.8
     with canvas(path, wide, look.equal_size(surface.shape, wide - 1.3) + 0.7) as figure:
         axes = figure.add_subplot()
@@ -117,7 +120,7 @@ def depth_bands(path: str | os.PathLike, runs: Sequence[tuple[str, dict[str, Dep
             axes.set_xlabel(FIELD_LABELS[name])
         panels[0].set_ylabel("height above substrate (µm)")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3 if len(runs) == 1 else 2)
 
 
 def flattening_figure(path: str | os.PathLike,
@@ -126,7 +129,7 @@ def flattening_figure(path: str | os.PathLike,
 
     The shaded band is that of the line (confidence), the thin lines that of a further particle (prediction).
     """
-    with canvas(path, 8.2, 3.7) as figure:
+    with canvas(path, 8.2, 3.6 if len(runs) == 1 else 4.2) as figure:
         panels = figure.subplots(1, 2)
         for number, (label, found, fits) in enumerate(runs):
             colour = look.SERIES[number]
@@ -150,7 +153,8 @@ def flattening_figure(path: str | os.PathLike,
         panels[0].set(xlabel="width of the particle $W_p$ (µm)", ylabel="$W_p / H_p$", title="(a) Eq. (5)")
         panels[1].set(xlabel="diameter $D = (W_p^2 H_p)^{1/3}$ (µm)", ylabel="$W_p / D$", title="(b) Eq. (6)")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        # a column per run: labels are as long as the names of the runs
+        figure.legend(handles, labels, loc="outside lower center", ncols=4 if len(runs) == 1 else len(runs))
 
 
 def particle_sizes(path: str | os.PathLike, runs: Sequence[tuple[str, np.ndarray]]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f2s_hpc.analysis.surface import surface_height
+from f2s_hpc.analysis.surface import attached_material, surface_height
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
@@ -32,8 +32,9 @@ class Deposit:
     """The state at the end of a cycle, SI, arrays (nz, ny, nx) float32.
 
     ``fraction``: volume fraction; ``peeq``; ``temperature`` (K); ``von_mises`` (Pa); ``landed`` (bool): slower than
-    ``LANDED`` of the particles' speed; ``surface``: height of what has landed above the bottom of the box (m),
-    (ny, nx) float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles.
+    ``LANDED`` of the particles' speed and attached (``surface.attached_material``); ``detached``: volume of what is as
+    slow but hangs in the air (m3); ``surface``: height of what has landed above the bottom of the box (m), (ny, nx)
+    float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles.
     """
 
     folder: pathlib.Path
@@ -46,6 +47,7 @@ class Deposit:
     temperature: np.ndarray
     von_mises: np.ndarray
     landed: np.ndarray
+    detached: float
     surface: np.ndarray
     batches: list[Batch]
 
@@ -149,13 +151,17 @@ def _from_frame(folder: pathlib.Path, cycle: int, number: int) -> Deposit:
 
 def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: pathlib.Path,
              arrays: dict[str, np.ndarray]) -> Deposit:
-    slow, speed, fraction = LANDED * scene.particles.speed, arrays.pop("speed"), arrays["volume_fraction"]
+    fraction, dx = arrays["volume_fraction"], scene.domain.cell_size
+    slow = arrays.pop("speed") < LANDED * scene.particles.speed
+    landed = attached_material(fraction, slow)
+    detached = float(fraction[slow & ~landed].sum(dtype=np.float64)) * dx**3
     surface = np.empty(fraction.shape[1:])
     for first in range(0, fraction.shape[1], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
-        surface[rows] = surface_height(fraction[:, rows], speed[:, rows], scene.domain.cell_size, slow)
+        # what has landed is at rest, all else is in flight
+        surface[rows] = surface_height(fraction[:, rows], np.where(landed[:, rows], 0.0, 1.0), dx, 0.5)
     return Deposit(folder, scene, cycle, time, path, fraction, arrays["peeq"], arrays["temperature"],
-                   arrays["von_mises"], speed < slow, surface, _painted(folder, scene))
+                   arrays["von_mises"], landed, detached, surface, _painted(folder, scene))
 
 
 def _painted(folder: pathlib.Path, scene: Scene) -> list[Batch]:

@@ -36,7 +36,7 @@ def draw_all(folder: pathlib.Path, runs: Sequence[tuple[str, Measurements]]) -> 
     figures.flattening_figure(place("flattening"), [(label, m.flattening, m.fits) for label, m in runs])
     if all(m.deposit.diameters.size for _, m in runs):
         figures.particle_sizes(place("particles"), [(label, m.deposit.diameters) for label, m in runs])
-    heights = canvas.limits([1e6 * (m.deposit.surface - m.deposit.ground) for _, m in runs])
+    heights = canvas.limits([1e6 * (m.deposit.surface - m.deposit.ground) for _, m in runs], *figures.HEIGHT_SHARES)
     bounds = _section_bounds([m for _, m in runs])
     for number, (_, m) in enumerate(runs):
         deposit, section = m.deposit, m.section

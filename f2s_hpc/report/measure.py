@@ -113,6 +113,9 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
         whole = profile.mirrored(whole)
     section = choose_section(deposit.fraction, deposit.surface, deposit.dx, deposit.ground)
     notes: list[str] = []
+    if deposit.detached > deposit.dx**3:
+        notes.append(f"heights: {1e18 * deposit.detached:.3g} µm³ of slow fragments hang in the air, not "
+                     "attached to the deposit; they are no part of its surface (the run's cycle table counts them)")
     flat, planes = _flattening(deposit, settings, notes)
     scheme = deposit.scene.scheme
     found = Measurements(
