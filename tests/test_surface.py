@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from f2s_hpc.analysis.surface import dense_height, surface_height
+from f2s_hpc.analysis.surface import attached_material, dense_height, surface_height
 from f2s_hpc.errors import InputError
 
 DX = 2e-6
@@ -70,3 +70,25 @@ def test_dense_height_is_volume_over_area():
     fraction[5, 0, 0], fraction[6, 1, 1] = 1.0, 0.5
     assert dense_height(fraction, DX, 3 * DX) == pytest.approx(1.5 / 4 * DX, rel=1e-12)
     assert dense_height(fraction[:2], DX, 3 * DX) == pytest.approx(-DX)
+
+
+def test_a_fragment_in_the_air_is_not_attached():
+    """Fails when slow alone counts, when a corner attaches, or thin material on the surface is lost."""
+    fraction = np.zeros((8, 3, 6))
+    fraction[:3] = 1.0
+    fraction[3, :, 1] = 0.3
+    fraction[5, 1, 2:4] = fraction[6, 1, 3] = 0.9
+    fraction[3, 1, 5], fraction[4, 1, 4] = 1.0, 1.0  # the second touches the first by an edge only
+    slow = np.ones(fraction.shape, dtype=bool)
+    slow[2, 0, 0] = False
+    found = attached_material(fraction, slow)
+    assert found[:2].all()
+    assert not found[2, 0, 0]
+    assert found[3, :, 1].all()
+    assert found[3, 1, 5]
+    assert not found[4, 1, 4]
+    assert not found[5:].any()
+    height = surface_height(fraction, np.where(found, 0.0, 1.0), DX, 0.5)
+    assert height[1, 3] == pytest.approx(3 * DX)
+    assert height[1, 1] == pytest.approx(3.3 * DX)
+    assert not attached_material(np.zeros((2, 2, 2)), np.ones((2, 2, 2), dtype=bool)).any()

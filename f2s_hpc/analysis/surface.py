@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from f2s_hpc.errors import InputError
 
@@ -33,6 +34,23 @@ def surface_height(volume_fraction: np.ndarray, speed: np.ndarray, dx: float, sl
     row, column = np.indices(top.shape)
     height = (top + fill[top, row, column] + above[top, row, column]) * dx
     return np.where(landed.any(axis=0), height, 0.0)
+
+
+def attached_material(volume_fraction: np.ndarray, slow: np.ndarray) -> np.ndarray:
+    """Return which cells belong to the deposit or the substrate, bool (nz, ny, nx): slow and attached to the bottom.
+
+    A fragment that was splashed up and is just turning round in the air is slow, too, but no surface. Cells that are at
+    least half full and connected through faces to the lowest layer of the box are attached, and so are less full cells
+    that touch one of them (also by an edge or a corner). ``volume_fraction``, ``slow`` (bool): cells, (nz, ny, nx).
+    """
+    solid = slow & (volume_fraction >= HALF_FULL)
+    labels, count = ndimage.label(solid)
+    grounded = np.zeros(count + 1, dtype=bool)
+    grounded[np.unique(labels[0])] = True
+    grounded[0] = False
+    firm = grounded[labels]
+    near = ndimage.binary_dilation(firm, structure=np.ones((3, 3, 3), dtype=bool))
+    return firm | (near & slow & (volume_fraction < HALF_FULL))
 
 
 def dense_height(volume_fraction: np.ndarray, dx: float, substrate_height: float) -> float:

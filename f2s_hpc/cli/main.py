@@ -6,6 +6,7 @@ import argparse
 import pathlib
 import sys
 
+from f2s_hpc.cli import measuring
 from f2s_hpc.errors import F2SError, InputError
 
 
@@ -37,10 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--out", metavar="DIR", required=True)
     _stream_arguments(command)
     command("inspect", "print the cycle table of a run").add_argument("folder", metavar="DIR")
-    sub = command("compare", "compare two runs field by field at each cycle")
-    sub.add_argument("first", metavar="DIR")
-    sub.add_argument("second", metavar="DIR")
-    sub.add_argument("--exact", action="store_true", help="exit 0 only if every saved bit is equal")
+    measuring.add_commands(command)
     _verify_arguments(command("verify", "measure the solver against known solutions, and judge it by its bars"))
     command("doctor", "tell what is installed, and write and read a file on two ranks")
     return parser
@@ -122,13 +120,6 @@ def _inspect(arguments: argparse.Namespace) -> int:
     return tasks.inspect(arguments.folder)
 
 
-def _compare(arguments: argparse.Namespace) -> int:
-    from f2s_hpc.io.compare import compare_runs, format_comparison
-    comparison = compare_runs(arguments.first, arguments.second)
-    print(format_comparison(comparison))
-    return 1 if arguments.exact and not comparison.identical else 0
-
-
 def _verify(arguments: argparse.Namespace) -> int:
     from f2s_hpc import mpi
     from f2s_hpc.verify import suite
@@ -154,7 +145,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 
 _COMMANDS = {"scenes": _scenes, "check": _check, "run": _run, "resume": _resume, "particles": _particles,
-             "stream": _stream, "feed": _feed, "inspect": _inspect, "compare": _compare, "verify": _verify}
+             "stream": _stream, "feed": _feed, "inspect": _inspect, "analyse": measuring.analyse,
+             "compare": measuring.compare, "report": measuring.report, "verify": _verify}
 
 
 def main(arguments: list[str]) -> int:

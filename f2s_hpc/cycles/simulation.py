@@ -148,7 +148,7 @@ class Simulation:
         """Run one cycle to its end; False when a stop was asked for and a checkpoint was written."""
         duration = self.scene.cycles.durations[self.cycle]
         if not self.batch_is_in:
-            self._insert()
+            self.insert()
         clock = self.clock
         while clock.in_cycle < duration * (1.0 - 1e-12):
             clock.limits.stop = self.stop.asked()
@@ -166,13 +166,13 @@ class Simulation:
         self._finish_cycle(duration)
         return not clock.stop or self.cycle == self.scene.cycles.count
 
-    def _insert(self) -> None:
+    def insert(self) -> InsertReport:
+        """Paint or launch the batch of the present cycle, with what waited from the one before; return what happened."""
         scene = self.scene
         # spheres that waited come last
         batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
         if self.flight is not None:
-            self._launch(batch)
-            return
+            return self._launch(batch)
         report: InsertReport = paint_batch(
             self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
             scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
@@ -184,9 +184,10 @@ class Simulation:
         limits.heavy_speed = max(limits.heavy_speed, scene.top_speed)
         if report.message():
             self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
+        return report
 
-    def _launch(self, batch: Batch) -> None:
-        """Let a batch fly towards the deposit."""
+    def _launch(self, batch: Batch) -> InsertReport:
+        """Let a batch fly towards the deposit; nothing is painted yet."""
         raised = self.flight.launch(self.state, batch.raised(self.scene.domain.layer_bottom),
                                     self.scene.particles.velocity, self.clock.time)
         self.particles += batch.count
@@ -194,6 +195,7 @@ class Simulation:
         self.batch_is_in = True
         if raised:
             self.progress.say(f"cycle {self.cycle + 1}: {raised} spheres start higher to clear what is in their place")
+        return InsertReport(spheres=batch.count, moved=raised, positions=join([]))
 
     def _land(self) -> None:
         """Put the spheres that are about to meet something onto the grid."""

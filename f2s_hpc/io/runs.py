@@ -154,3 +154,36 @@ def open_checkpoint_serial(path: str | os.PathLike,
         return arrays, json.loads(text)
     except (OSError, KeyError, ValueError) as error:
         raise CheckpointError(f"{path}: damaged checkpoint ({' '.join(str(error).split())})") from None
+
+
+class CheckpointLayers:
+    """A checkpoint opened to read its fields layer by layer, for boxes too large to hold every field whole.
+
+    Use as a context manager. ``attributes``: as saved; ``shapes``: (nz, ny, nx) of each field, one more per axis on
+    nodes. Tested as by :func:`open_checkpoint_serial`; raises ``CheckpointError``.
+    """
+
+    def __init__(self, path: str | os.PathLike) -> None:
+        self.path = pathlib.Path(path)
+        self.attributes = open_checkpoint_serial(self.path, [])[1]
+        self.shapes = {name: record.shape for name, record in read_manifest(self.path).fields.items()}
+        self._file: h5py.File | None = None
+
+    def __enter__(self) -> CheckpointLayers:
+        try:
+            self._file = h5py.File(self.path, "r")
+        except OSError as error:
+            raise CheckpointError(f"{self.path}: damaged checkpoint ({' '.join(str(error).split())})") from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def layers(self, name: str, first: int, last: int) -> np.ndarray:
+        """Return the layers ``first`` to ``last`` - 1 (k) of field ``name``, float64 [k, j, i]."""
+        if name not in self.shapes:
+            raise CheckpointError(f"{self.path}: no field {name!r}; it holds {', '.join(self.shapes)}")
+        try:
+            return self._file[f"{layout.FIELDS_GROUP}/{name}"][first:last]
+        except (OSError, KeyError) as error:
+            raise CheckpointError(f"{self.path}: damaged checkpoint ({' '.join(str(error).split())})") from None

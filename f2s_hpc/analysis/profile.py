@@ -1,0 +1,133 @@
+"""Heights of a deposit, its profile across the track, and how well two profiles overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from f2s_hpc.errors import InputError
+
+EDGE_SHARE = 0.05
+"""The track is as wide as its profile stands above this share of its maximum height."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Height above the substrate top (m), ``height`` (n,), at the places ``x`` (m), ascending, (n,)."""
+
+    x: np.ndarray
+    height: np.ndarray
+
+
+@dataclass(frozen=True)
+class ProfileSize:
+    """Maximum height, width (both m) and area (m2) of a profile."""
+
+    maximum: float
+    width: float
+    area: float
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """How well two profiles overlap, each area taken above the substrate top and where both are known.
+
+    ``over_union``: common area over the area under either, 1 only for equal profiles; ``over_second``: common area
+    over the area of the second; ``shift``: how far the first was moved along x (m) before.
+    """
+
+    over_union: float
+    over_second: float
+    shift: float
+
+
+def heights(surface: np.ndarray, dense: float, substrate_height: float) -> dict[str, float]:
+    """Return every usual height of a deposit (m, above the substrate top).
+
+    ``surface``: heights from the bottom of the box (m), (ny, nx), as ``surface.surface_height`` returns; ``dense``:
+    the dense-equivalent height (``surface.dense_height``); ``substrate_height`` (m).
+    Keys: dense, mean, median, p95, maximum. Raises ``InputError`` when ``surface`` is not two-dimensional.
+    """
+    if surface.ndim != 2 or surface.size == 0:
+        raise InputError(f"heights: the surface has shape {surface.shape}; it must be (ny, nx)")
+    above = surface - substrate_height
+    return {"dense": dense, "mean": float(above.mean()), "median": float(np.median(above)),
+            "p95": float(np.percentile(above, 95.0)), "maximum": float(above.max())}
+
+
+def mean_profile(surface: np.ndarray, dx: float, substrate_height: float, along: str = "y") -> Profile:
+    """Return the profile across a track that runs along ``along`` ("x" or "y"): the mean height along it.
+
+    ``surface``: heights from the bottom of the box (m), (ny, nx); ``dx``, ``substrate_height`` in m. The places are
+    the centres of the cells. Raises ``InputError`` for another direction.
+    """
+    if along not in ("x", "y"):
+        raise InputError(f'profile: the track can run along "x" or "y", not {along!r}')
+    height = surface.mean(axis=0 if along == "y" else 1) - substrate_height
+    return Profile((np.arange(height.size) + 0.5) * dx, height)
+
+
+def mirrored(profile: Profile) -> Profile:
+    """Return the whole of a track of which the half beside the symmetry side x = 0 was simulated."""
+    return Profile(np.concatenate([-profile.x[::-1], profile.x]),
+                   np.concatenate([profile.height[::-1], profile.height]))
+
+
+def profile_size(profile: Profile) -> ProfileSize:
+    """Return maximum height, width and area of a profile.
+
+    Each point stands for the stretch halfway to its neighbours, an end point for as much outside as inside, so a
+    profile of cell centres reaches to the sides of the box. Width: distance of the outermost crossings of
+    ``EDGE_SHARE`` of the maximum, linear between points, or to the end where it does not come down to that. Area: sum
+    of height times stretch; what is below the substrate top counts as zero.
+    """
+    x, height = profile.x, np.maximum(profile.height, 0.0)
+    maximum = float(profile.height.max())
+    if maximum <= 0.0:
+        return ProfileSize(maximum, 0.0, 0.0)
+    level, stretch = EDGE_SHARE * maximum, np.gradient(x)
+    inside = np.flatnonzero(height >= level)
+    low, high = int(inside[0]), int(inside[-1])
+    left = x[0] - 0.5 * stretch[0] if low == 0 else np.interp(level, height[[low - 1, low]], x[[low - 1, low]])
+    right = (x[-1] + 0.5 * stretch[-1] if high == x.size - 1
+             else np.interp(level, height[[high + 1, high]], x[[high + 1, high]]))
+    return ProfileSize(maximum, float(right - left), float((height * stretch).sum()))
+
+
+def overlap(first: Profile, second: Profile, align: bool = False) -> Overlap:
+    """Return the overlapping ratio of two profiles, as in Fig. 13 (b) of Ge et al. 2026.
+
+    The paper gives the ratio (above 80 %) but not its formula; here it is the common area over the area of the union,
+    integral of min(h1, h2) over integral of max(h1, h2), the strictest of the usual ones, and beside it the common
+    area over that of the second profile. Integrals run over the x that both cover, heights below zero count as zero.
+    ``align``: move the first so that the centroids of the two agree (the zero of a scan is arbitrary).
+    Raises ``InputError`` when the two have no x in common, or no area.
+    """
+    shift = _centroid(second) - _centroid(first) if align else 0.0
+    x1 = first.x + shift
+    low, high = max(x1[0], second.x[0]), min(x1[-1], second.x[-1])
+    if not high > low:
+        raise InputError(f"overlap: the profiles cover {_span(x1)} and {_span(second.x)}, nothing in common; "
+                         "are both in the same unit and zero?")
+    # fine enough that neither the corners nor the crossings of the two broken lines matter
+    x = np.linspace(low, high, 20 * max(x1.size, second.x.size) + 1)
+    one = np.maximum(np.interp(x, x1, first.height), 0.0)
+    two = np.maximum(np.interp(x, second.x, second.height), 0.0)
+    union, own = float(np.maximum(one, two).sum()), float(two.sum())
+    if union <= 0.0 or own <= 0.0:
+        raise InputError("overlap: a profile without any height above the substrate has no overlap")
+    common = float(np.minimum(one, two).sum())
+    return Overlap(common / union, common / own, shift)
+
+
+def _centroid(profile: Profile) -> float:
+    weight = np.maximum(profile.height, 0.0)
+    if weight.sum() <= 0.0:
+        raise InputError("overlap: a profile without any height above the substrate has no overlap")
+    width = np.gradient(profile.x)
+    return float((profile.x * weight * width).sum() / (weight * width).sum())
+
+
+def _span(x: np.ndarray) -> str:
+    return f"{1e6 * x[0]:.4g} to {1e6 * x[-1]:.4g} um"

@@ -1,0 +1,173 @@
+"""A deposit as the measurements take it: arrays and spacing, read from a run folder without holding it all at once."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from f2s_hpc.analysis.surface import attached_material, surface_height
+from f2s_hpc.config import Scene, parse_scene
+from f2s_hpc.cycles.output import RunFolder
+from f2s_hpc.errors import CheckpointError, F2SError, InputError
+from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.io import layout, runs
+from f2s_hpc.io.checkpoint import list_checkpoints
+from f2s_hpc.io.manifest import read_manifest
+from f2s_hpc.kernels import derived
+from f2s_hpc.particles.batch import Batch
+
+LANDED = 0.1
+"""Material slower than this share of the particles' speed has landed, as in the cycle table."""
+
+_LAYERS_AT_ONCE = 16
+_ROWS_AT_ONCE = 32
+FRAME_FIELDS = ("volume_fraction", "peeq", "temperature", "von_mises", "speed")
+
+
+@dataclass(frozen=True, eq=False)
+class Deposit:
+    """The state at the end of a cycle, SI, arrays (nz, ny, nx) float32.
+
+    ``fraction``: volume fraction; ``peeq``; ``temperature`` (K); ``von_mises`` (Pa); ``landed`` (bool): slower than
+    ``LANDED`` of the particles' speed and attached (``surface.attached_material``); ``detached``: volume of what is as
+    slow but hangs in the air (m3); ``surface``: height of what has landed above the bottom of the box (m), (ny, nx)
+    float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles.
+    """
+
+    folder: pathlib.Path
+    scene: Scene
+    cycle: int
+    time: float
+    source: pathlib.Path
+    fraction: np.ndarray
+    peeq: np.ndarray
+    temperature: np.ndarray
+    von_mises: np.ndarray
+    landed: np.ndarray
+    detached: float
+    surface: np.ndarray
+    batches: list[Batch]
+
+    @property
+    def dx(self) -> float:
+        """Cell size (m)."""
+        return self.scene.domain.cell_size
+
+    @property
+    def ground(self) -> float:
+        """Height of the substrate top above the bottom of the box (m)."""
+        return self.scene.domain.substrate_height
+
+    @property
+    def diameters(self) -> np.ndarray:
+        """Diameters of all spheres painted so far (m)."""
+        painted = self.batches[:self.cycle] if self.scene.scheme == "recurring" else self.batches
+        return 2.0 * np.concatenate([batch.r for batch in painted]) if painted else np.empty(0)
+
+
+def checkpoints_by_cycle(folder: str | os.PathLike) -> dict[int, pathlib.Path]:
+    """Return the complete checkpoints of a run that stand at the end of a cycle, the newest of each cycle."""
+    found = {}
+    for path in list_checkpoints(pathlib.Path(folder) / layout.CHECKPOINTS):
+        try:
+            read_manifest(path)
+            if not runs.open_checkpoint_serial(path, [])[1].get("batch_is_in", True):
+                found[layout.checkpoint_key(path.name)[0]] = path
+        except CheckpointError:
+            continue
+    return found
+
+
+def load_deposit(folder: str | os.PathLike, cycle: int | None = None) -> Deposit:
+    """Return the deposit of the run in ``folder`` at the end of ``cycle`` (default: the last one finished).
+
+    From the checkpoint of that cycle where it is still there, else from its frame, which is float32. Raises
+    ``InputError`` when the folder holds no run, or neither of the two for this cycle.
+    """
+    folder = pathlib.Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name the folder of a run")
+    checkpoints, frames = checkpoints_by_cycle(folder), _frames_by_cycle(folder)
+    there = sorted(checkpoints.keys() | frames.keys())
+    if not there:
+        raise InputError(f"{folder}: holds no checkpoint at the end of a cycle, and no frame; name a run's folder")
+    wanted = there[-1] if cycle is None else cycle
+    if wanted not in there:
+        raise InputError(f"{folder}: nothing saved of cycle {wanted}; there is {', '.join(map(str, there))}")
+    if wanted in checkpoints:
+        return _from_checkpoint(folder, wanted, checkpoints[wanted])
+    return _from_frame(folder, wanted, frames[wanted])
+
+
+def _frames_by_cycle(folder: pathlib.Path) -> dict[int, int]:
+    """Return the number of the last frame of each cycle: that at its end."""
+    found = {}
+    for number in runs.list_frames(folder):
+        try:
+            meta = runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(number))
+        except F2SError:
+            continue
+        if set(FRAME_FIELDS) <= set(meta.locations) and meta.provenance.get("scene"):
+            found[int(meta.provenance.get("cycle", 0))] = number
+    return found
+
+
+def checkpoint_fields(path: pathlib.Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Return ``FRAME_FIELDS`` of a checkpoint, float32 (nz, ny, nx), as a frame would hold them, and its attributes.
+
+    Read in slabs of layers, so that no field is ever held in float64. Raises ``CheckpointError``.
+    """
+    with runs.CheckpointLayers(path) as file:
+        shape = file.shapes["volume_fraction"]
+        arrays = {name: np.empty(shape, dtype=np.float32) for name in FRAME_FIELDS}
+        for first in range(0, shape[0], _LAYERS_AT_ONCE):
+            last = min(first + _LAYERS_AT_ONCE, shape[0])
+            for name in ("volume_fraction", "peeq", "temperature"):
+                arrays[name][first:last] = file.layers(name, first, last)
+            out = np.empty((last - first, *shape[1:]))
+            derived.cell_von_mises(tuple(file.layers(n, first, last).reshape(-1) for n in STRESS), out.reshape(-1))
+            arrays["von_mises"][first:last] = out
+            derived.cell_speed(out.shape, file.layers("mass", first, last).reshape(-1),
+                               *(file.layers(n, first, last + 1).reshape(-1) for n in VELOCITY), out.reshape(-1))
+            arrays["speed"][first:last] = out
+        return arrays, file.attributes
+
+
+def _from_checkpoint(folder: pathlib.Path, cycle: int, path: pathlib.Path) -> Deposit:
+    arrays, attributes = checkpoint_fields(path)
+    clock = attributes["clock"]
+    return _deposit(folder, parse_scene(attributes["scene"], str(path)), cycle,
+                    clock["cycle_start"] + clock["in_cycle"], path, arrays)
+
+
+def _from_frame(folder: pathlib.Path, cycle: int, number: int) -> Deposit:
+    path = folder / layout.FRAMES / layout.frame_name(number)
+    arrays, meta = runs.open_frame(folder, number, FRAME_FIELDS)
+    return _deposit(folder, parse_scene(meta.provenance["scene"], str(path)), cycle, meta.time_s, path, arrays)
+
+
+def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: pathlib.Path,
+             arrays: dict[str, np.ndarray]) -> Deposit:
+    fraction, dx = arrays["volume_fraction"], scene.domain.cell_size
+    slow = arrays.pop("speed") < LANDED * scene.particles.speed
+    landed = attached_material(fraction, slow)
+    detached = float(fraction[slow & ~landed].sum(dtype=np.float64)) * dx**3
+    surface = np.empty(fraction.shape[1:])
+    for first in range(0, fraction.shape[1], _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        # what has landed is at rest, all else is in flight
+        surface[rows] = surface_height(fraction[:, rows], np.where(landed[:, rows], 0.0, 1.0), dx, 0.5)
+    return Deposit(folder, scene, cycle, time, path, fraction, arrays["peeq"], arrays["temperature"],
+                   arrays["von_mises"], landed, detached, surface, _painted(folder, scene))
+
+
+def _painted(folder: pathlib.Path, scene: Scene) -> list[Batch]:
+    """Return the batches in the order of the cycles; empty where the folder has lost them."""
+    try:
+        plan = RunFolder(folder, scene).read_plan()
+    except F2SError:
+        return []
+    return [plan.batches[number] for number in plan.order]

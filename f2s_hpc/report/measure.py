@@ -1,0 +1,216 @@
+"""All measurements of the paper on one deposit, in one place: what is measured, with which settings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f2s_hpc.analysis import boundaries, depth, flattening, porosity, profile, roughness
+from f2s_hpc.analysis.picture import Section, choose_section
+from f2s_hpc.analysis.surface import dense_height
+from f2s_hpc.errors import InputError
+from f2s_hpc.report.deposit import Deposit
+from f2s_hpc.report.handover import Handover
+
+PAPER_HEIGHT = {"recurring": 363e-6, "standard": 362e-6}
+"""Height of the deposit of section 4 (m), both schemes: Ge et al. 2026, section 4 and Fig. 7."""
+
+_PAPER_PATCH, _PAPER_PARTICLES, _PAPER_SPEED = 0.35e-3, 5000, 615.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to measure; lengths in m.
+
+    ``along``: direction of the track; ``cutoff``: of the Gaussian filter; ``surface_zone``: thickness that porosity
+    leaves out below the surface, None for half the median particle diameter, at least two cells; ``sections``: planes
+    each along x and y for image porosity; ``smallest_pore``: pixels; ``layer``: thickness of the layers of the
+    distributions; ``prominence``: least rise of a PEEQ ridge (``analysis.boundaries``); ``symmetric``: half a track
+    was simulated, x = 0 is its middle; ``align``: move the profile onto the experimental one before they overlap.
+    """
+
+    along: str = "y"
+    cutoff: float = 80e-6
+    surface_zone: float | None = None
+    sections: int = 10
+    smallest_pore: int = 4
+    layer: float = 10e-6
+    prominence: float = boundaries.PROMINENCE
+    symmetric: bool = False
+    align: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Porosity:
+    """Porosity of the bulk; ``zone``: the surface zone left out (m); ``volume``: of the bulk (m3)."""
+
+    zone: float
+    volume: float
+    exact: float
+    image: porosity.SectionPorosity
+    pores: porosity.PoreSplit
+
+
+@dataclass(eq=False)
+class Measurements:
+    """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI.
+
+    ``distributions``: in layers; ``overall``: in the whole substrate and in the whole deposit; ``rough_along``: of
+    profiles along the track, ``rough_across`` of those across it.
+    """
+
+    deposit: Deposit
+    settings: Settings
+    heights: dict[str, float]
+    paper_height: float | None
+    profile: profile.Profile
+    size: profile.ProfileSize
+    rough_along: roughness.Roughness | None
+    rough_across: roughness.Roughness | None
+    areal: roughness.ArealRoughness | None
+    porosity: Porosity | None
+    distributions: dict[str, depth.DepthDistribution]
+    overall: dict[str, depth.DepthDistribution]
+    flattening: flattening.Flattening
+    fits: dict[str, flattening.Regression | None]
+    section: Section
+    section_planes: int
+    experiment: profile.Profile | None = None
+    overlap: profile.Overlap | None = None
+    handover: Handover | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def deposit_percentiles(found: Measurements, name: str) -> np.ndarray:
+    """Return the percentiles (at ``depth.SHARES``) of a field in the whole deposit; NaN while nothing has landed."""
+    whole = found.overall[name]
+    above = whole.low > -1e-6 * found.deposit.dx
+    return whole.percentiles[above][-1] if above.any() else np.full(len(whole.shares), np.nan)
+
+
+def is_section4(deposit: Deposit) -> bool:
+    """Tell whether a run is section 4 of the paper, whatever its cell size: its patch, speed and 5000 particles."""
+    domain = deposit.scene.domain
+    return (all(abs(length - _PAPER_PATCH) < 0.5 * domain.cell_size for length in domain.size[:2])
+            and abs(deposit.scene.particles.speed - _PAPER_SPEED) < 1.0
+            and deposit.diameters.size == _PAPER_PARTICLES)
+
+
+def measure(deposit: Deposit, settings: Settings = Settings(),
+            experiment: profile.Profile | None = None) -> Measurements:
+    """Return all measurements of a deposit; what it does not allow is left out with a note.
+
+    ``experiment``: a measured profile for the overlapping ratio. Raises ``InputError`` for settings that fit no
+    deposit.
+    """
+    if settings.sections < 1 or settings.smallest_pore < 1:
+        raise InputError("analyse: the numbers of sections and of pixels of the smallest pore must be at least 1")
+    dense = dense_height(deposit.fraction, deposit.dx, deposit.ground)
+    whole = profile.mean_profile(deposit.surface, deposit.dx, deposit.ground, settings.along)
+    if settings.symmetric:
+        whole = profile.mirrored(whole)
+    section = choose_section(deposit.fraction, deposit.surface, deposit.dx, deposit.ground)
+    notes: list[str] = []
+    if deposit.detached > deposit.dx**3:
+        notes.append(f"heights: {1e18 * deposit.detached:.3g} µm³ of slow fragments hang in the air, not "
+                     "attached to the deposit; they are no part of its surface (the run's cycle table counts them)")
+    flat, planes = _flattening(deposit, settings, notes)
+    scheme = deposit.scene.scheme
+    found = Measurements(
+        deposit, settings, profile.heights(deposit.surface, dense, deposit.ground),
+        PAPER_HEIGHT[scheme] if is_section4(deposit) else None, whole, profile.profile_size(whole),
+        None, None, None, _porosity(deposit, settings, notes), _distributions(deposit, settings.layer),
+        _distributions(deposit, deposit.fraction.shape[0] * deposit.dx), flat,
+        {"equation_5": flattening.regression(flat.width, flat.equation_5),
+         "equation_6": flattening.regression(flat.diameter, flat.equation_6)}, section, planes,
+        experiment=experiment, notes=notes)
+    _roughness(found)
+    if experiment is not None:
+        found.overlap = profile.overlap(whole, experiment, settings.align)
+    return found
+
+
+def filter_ends(deposit: Deposit) -> tuple[str, str]:
+    """Return how the filter treats the ends along x and along y: mirrored where both sides are symmetry sides."""
+    faces = deposit.scene.domain.faces
+    return tuple(roughness.MIRROR if getattr(faces, f"{axis}_low") == getattr(faces, f"{axis}_high") == "symmetry"
+                 else roughness.RENORMALISED for axis in "xy")
+
+
+def _roughness(found: Measurements) -> None:
+    deposit, cutoff = found.deposit, found.settings.cutoff
+    ends = filter_ends(deposit)
+    by_axis = {"x": (deposit.surface, ends[0]), "y": (deposit.surface.T, ends[1])}
+    along = found.settings.along
+    across = "x" if along == "y" else "y"
+    if min(deposit.surface.shape) < 3:
+        found.notes.append("roughness: the box is narrower than three cells")
+        return
+    found.rough_along = roughness.profile_roughness(by_axis[along][0], deposit.dx, cutoff, by_axis[along][1])
+    found.rough_across = roughness.profile_roughness(by_axis[across][0], deposit.dx, cutoff, by_axis[across][1])
+    found.areal = roughness.areal_roughness(deposit.surface, deposit.dx, cutoff, ends)
+    if not (found.rough_along.standard and found.rough_across.standard):
+        found.notes.append(f"roughness: profiles of {1e6 * found.rough_along.length:.4g} and "
+                           f"{1e6 * found.rough_across.length:.4g} µm are shorter than the five cutoffs "
+                           f"({5e6 * cutoff:.4g} µm) of ISO 21920; compare only with values of the same length "
+                           "and cutoff")
+
+
+def median_diameter(deposit: Deposit) -> float:
+    """Return the diameter (m) below which half the painted volume lies; the scene's where no batch is at hand."""
+    diameters = deposit.diameters
+    if not diameters.size:
+        return deposit.scene.batches.diameter_d50
+    return float(depth.weighted_percentiles(diameters, diameters**3, (0.5,))[0])
+
+
+def _porosity(deposit: Deposit, settings: Settings, notes: list[str]) -> Porosity | None:
+    zone = settings.surface_zone
+    if zone is None:
+        zone = max(0.5 * median_diameter(deposit), 2.0 * deposit.dx)
+    top = porosity.bulk_top(deposit.surface, deposit.dx, zone)
+    share = porosity.bulk_share(deposit.fraction.shape, deposit.dx, deposit.ground, top)
+    try:
+        exact = porosity.exact_porosity(deposit.fraction, share)
+        image = porosity.section_porosity(deposit.fraction, share, settings.sections, settings.smallest_pore)
+        pores = porosity.split_pores(deposit.fraction, share, deposit.surface, deposit.dx)
+    except InputError as error:
+        notes.append(f"{error} ({1e6 * zone:.3g} µm)")
+        return None
+    return Porosity(zone, float(share.sum(dtype=np.float64)) * deposit.dx**3, exact, image, pores)
+
+
+def _distributions(deposit: Deposit, layer: float) -> dict[str, depth.DepthDistribution]:
+    weight = np.where(deposit.landed, np.minimum(deposit.fraction, np.float32(1.0)), np.float32(0.0))
+    return {name: depth.depth_distribution(getattr(deposit, name), weight, deposit.dx, deposit.ground, layer)
+            for name in ("peeq", "temperature", "von_mises")}
+
+
+def section_planes(deposit: Deposit) -> list[tuple[int, int]]:
+    """Return the planes (axis of the array, index) for flattening: a median diameter apart, so none counts twice."""
+    planes = []
+    for axis in (1, 2):
+        n = deposit.fraction.shape[axis]
+        number = max(1, int(n * deposit.dx / median_diameter(deposit)))
+        planes += [(axis, int((place + 0.5) * n / number)) for place in range(number)]
+    return planes
+
+
+def particles_of_plane(deposit: Deposit, axis: int, index: int, prominence: float) -> boundaries.SectionParticles:
+    """Return the particles of one vertical section of a deposit."""
+    fraction = np.where(np.take(deposit.landed, index, axis), np.take(deposit.fraction, index, axis), 0.0)
+    return boundaries.section_particles(np.take(deposit.peeq, index, axis), fraction, deposit.dx,
+                                        math.ceil(deposit.ground / deposit.dx - 1e-6), prominence)
+
+
+def _flattening(deposit: Deposit, settings: Settings, notes: list[str]) -> tuple[flattening.Flattening, int]:
+    planes = section_planes(deposit)
+    found = [particles_of_plane(deposit, *plane, settings.prominence) for plane in planes]
+    cells = median_diameter(deposit) / deposit.dx
+    if cells < 10.0:
+        notes.append(f"flattening: {cells:.1f} cells per median particle diameter are few for boundaries by PEEQ; "
+                     "ratios from sections are then rough")
+    return flattening.flattening_from_sizes(np.concatenate([f.width for f in found]),
+                                            np.concatenate([f.height for f in found])), len(planes)

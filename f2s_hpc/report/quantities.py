@@ -1,0 +1,246 @@
+"""The measurements as a list of named numbers: one source for the text, the JSON file, the comparison and the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from f2s_hpc.analysis.depth import SHARES
+from f2s_hpc.report.measure import Measurements, deposit_percentiles
+
+_INDENT = "   "
+PAPER_POROSITY = 0.0053
+"""Image porosity of the paper's simulated multi-track deposit, section 5.3 (0.31 % in its micrograph)."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number: ``value`` in SI, shown as value x ``scale`` in ``unit`` with the format ``form``.
+
+    ``key``: its name in the JSON file; ``paper``: the paper's value (SI) where it has one for this case.
+    """
+
+    group: str
+    key: str
+    name: str
+    value: float | None
+    unit: str = ""
+    scale: float = 1.0
+    form: str = ".3g"
+    paper: float | None = None
+
+    def text(self, value: float | None = None) -> str:
+        """Return ``value`` (SI; default: its own) in the unit shown, without the unit; "-" where there is none."""
+        value = self.value if value is None else value
+        return "-" if value is None or not math.isfinite(value) else f"{value * self.scale:{self.form}}"
+
+
+def _length(group: str, key: str, name: str, value: float | None, paper: float | None = None,
+            form: str = ".2f") -> Quantity:
+    return Quantity(group, f"{key}_m", name, value, "µm", 1e6, form, paper)
+
+
+def _share(group: str, key: str, name: str, value: float | None, paper: float | None = None) -> Quantity:
+    return Quantity(group, key, name, value, "%", 100.0, ".3f", paper)
+
+
+def quantities(found: Measurements) -> list[Quantity]:
+    """Return every single number of the measurements, in the order in which they are shown."""
+    return [*_heights(found), *_profile(found), *_roughness(found), *_porosity(found), *_flattening(found),
+            *_overall(found)]
+
+
+def _heights(found: Measurements) -> list[Quantity]:
+    group, paper = "Height above the substrate top", found.paper_height
+    names = {"dense": "dense-equivalent", "mean": "mean surface", "median": "median surface",
+             "p95": "95th percentile of the surface", "maximum": "maximum of the surface"}
+    return [_length(group, f"height_{key}", name, found.heights[key], paper) for key, name in names.items()]
+
+
+def _profile(found: Measurements) -> list[Quantity]:
+    group = f"Profile across the track (mean along {found.settings.along})"
+    size, over = found.size, found.overlap
+    rows = [_length(group, "profile_maximum", "maximum height", size.maximum),
+            _length(group, "profile_width", "width at 5 % of the maximum", size.width),
+            Quantity(group, "profile_area_m2", "area", size.area, "µm²", 1e12, ".1f")]
+    if over is not None:
+        top = float(found.experiment.height.max())
+        rows += [_length(group, "experiment_maximum", "maximum height of the experiment", top),
+                 Quantity(group, "maximum_off_experiment", "maximum height, off the experiment",
+                          size.maximum / top - 1.0, "%", 100.0, "+.1f"),
+                 Quantity(group, "overlap_over_union", "overlap with the experiment, common area over union",
+                          over.over_union, "%", 100.0, ".1f"),
+                 Quantity(group, "overlap_over_experiment", "common area over that of the experiment",
+                          over.over_second, "%", 100.0, ".1f"),
+                 _length(group, "overlap_shift", "shift of the simulated profile", over.shift)]
+    return rows
+
+
+def _roughness(found: Measurements) -> list[Quantity]:
+    if found.areal is None:
+        return []
+    along, across, areal = found.rough_along, found.rough_across, found.areal
+    track = found.settings.along
+    group = f"Roughness (Gaussian filter, cutoff {1e6 * areal.cutoff:g} µm; ends: {areal.ends})"
+    rows = []
+    for key, rough, text in (("along", along, f"along {track}"),
+                             ("across", across, f"along {'x' if track == 'y' else 'y'}")):
+        length = f"{rough.profiles} profiles {text}, {1e6 * rough.length:.4g} µm long"
+        rows += [_length(group, f"Ra_{key}", f"Ra, {length}", rough.Ra),
+                 _length(group, f"Ra_{key}_scatter", f"{_INDENT}its standard deviation over them", rough.Ra_scatter),
+                 _length(group, f"Rq_{key}", f"Rq, {text}", rough.Rq),
+                 _length(group, f"Rq_{key}_scatter", f"{_INDENT}its standard deviation over them", rough.Rq_scatter),
+                 _length(group, f"Pa_{key}", f"Pa, {text}, without filter", rough.Pa),
+                 _length(group, f"Pq_{key}", f"Pq, {text}, without filter", rough.Pq)]
+    return [*rows, _length(group, "Sa", "Sa", areal.Sa), _length(group, "Sq", "Sq", areal.Sq),
+            _length(group, "Sa_unfiltered", "Sa without filter", areal.Sa_unfiltered),
+            _length(group, "Sq_unfiltered", "Sq without filter", areal.Sq_unfiltered),
+            _length(group, "Sz_unfiltered", "Sz without filter", areal.Sz_unfiltered)]
+
+
+def _porosity(found: Measurements) -> list[Quantity]:
+    porosity = found.porosity
+    if porosity is None:
+        return []
+    group = "Porosity of the bulk (above the substrate top, below the surface zone)"
+    image, pores = porosity.image, porosity.pores
+    paper = PAPER_POROSITY if found.paper_height is not None else None
+    return [_share(group, "porosity_exact", "exact, from volume fractions", porosity.exact),
+            _share(group, "porosity_image", f"image analysis, mean of {image.sections} sections, threshold 0.5, pores "
+                                            f"of {image.smallest} pixels or more", image.mean, paper),
+            _share(group, "porosity_image_scatter", f"{_INDENT}its standard deviation over them", image.scatter),
+            _share(group, "porosity_open", "open to the surface", pores.open),
+            _share(group, "porosity_closed", "closed", pores.closed),
+            _share(group, "porosity_thin", "in cells more than half full", pores.thin),
+            Quantity(group, "porosity_closed_pores", "number of closed pores", float(pores.pores), "", 1.0, ".0f"),
+            Quantity(group, "porosity_largest_pore_m3", "largest closed pore", pores.largest, "µm³", 1e18, ".4g"),
+            _length(group, "porosity_surface_zone", "surface zone left out", porosity.zone),
+            Quantity(group, "porosity_bulk_volume_m3", "volume of the bulk", porosity.volume, "µm³", 1e18, ".4g")]
+
+
+def _mean(values: np.ndarray) -> float | None:
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if values.size else None
+
+
+def _flattening(found: Measurements) -> list[Quantity]:
+    flat = found.flattening
+    group = "Flattening of particles in sections, found by ridges of PEEQ"
+    rows = [Quantity(group, "flattening_sections", "sections", float(found.section_planes), "", 1.0, ".0f"),
+            Quantity(group, "flattening_particles", "particles measured", float(flat.count), "", 1.0, ".0f"),
+            Quantity(group, "flattening_equation_5", "mean of W/H, Eq. (5)", _mean(flat.equation_5), "", 1.0, ".3f"),
+            Quantity(group, "flattening_equation_6", "mean of W/D, Eq. (6)", _mean(flat.equation_6), "", 1.0, ".3f"),
+            _length(group, "flattening_width", "mean width W", _mean(flat.width)),
+            _length(group, "flattening_height", "mean height H", _mean(flat.height))]
+    for key, name in (("equation_5", "W/H over W, Eq. (5)"), ("equation_6", "W/D over D, Eq. (6)")):
+        fit = found.fits[key]
+        if fit is not None:
+            rows += [Quantity(group, f"flattening_{key}_slope_per_m", f"slope of {name}", fit.slope, "1/µm", 1e-6,
+                              ".4f"),
+                     Quantity(group, f"flattening_{key}_slope_error_per_m", f"{_INDENT}its standard error",
+                              fit.slope_error, "1/µm", 1e-6, ".4f"),
+                     Quantity(group, f"flattening_{key}_intercept", f"intercept of {name}", fit.intercept, "", 1.0,
+                              ".3f")]
+    return rows
+
+
+def _overall(found: Measurements) -> list[Quantity]:
+    group = "State of the deposit (by volume, above the substrate top)"
+    rows = []
+    for name, text, unit, scale, form, shift in (("peeq", "PEEQ", "", 1.0, ".3f", 0.0),
+                                                 ("temperature", "temperature", "°C", 1.0, ".1f", 273.15),
+                                                 ("von_mises", "von Mises stress", "MPa", 1e-6, ".1f", 0.0)):
+        unit_key = {"": "", "°C": "_degC", "MPa": "_Pa"}[unit]
+        for share, value in zip(SHARES, deposit_percentiles(found, name)):
+            if share in (0.05, 0.5, 0.95):
+                label = "median" if share == 0.5 else f"{100 * share:.0f}th percentile"
+                rows.append(Quantity(group, f"{name}_p{100 * share:02.0f}{unit_key}", f"{text}, {label}",
+                                     float(value) - shift if math.isfinite(value) else None, unit, scale, form))
+    return rows
+
+
+def percent(first: float | None, second: float | None) -> str:
+    """Return how much ``first`` exceeds ``second``, in percent of it, as text; "-" where that has no meaning."""
+    if first is None or second is None or not (math.isfinite(first) and math.isfinite(second)) or second == 0.0:
+        return "-" if first != second else "0.0 %"
+    # + 0.0 turns a negative zero into a plain one
+    return f"{round(100.0 * (first / second - 1.0), 1) + 0.0:+.1f} %"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table to be written as text or HTML: all cells are text; the first column is left-aligned."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+
+    def as_text(self) -> str:
+        """Return the table for a terminal."""
+        widths = [max(len(line[c]) for line in [self.head, *self.rows]) for c in range(len(self.head))]
+        lines = ["  ".join(cell.ljust(w) if c == 0 else cell.rjust(w) for c, (cell, w) in enumerate(zip(line, widths)))
+                 for line in [self.head, *self.rows]]
+        return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
+
+
+def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
+    """Return the quantities of one or two runs as tables, one per group, with the paper's values where it has them.
+
+    With two runs a column tells by how much the second exceeds the first.
+    """
+    lists = [quantities(found) for _, found in runs]
+    by_key = [{q.key: q for q in one} for one in lists]
+    result: list[Table] = []
+    for group in dict.fromkeys(q.group for q in lists[0]):
+        members = [q for q in lists[0] if q.group == group]
+        with_paper = any(q.paper is not None for q in members)
+        head = ["", "unit", *(label or "simulated" for label, _ in runs)]
+        head += (["difference"] if len(runs) == 2 else []) + (["paper", "off the paper"] if with_paper else [])
+        rows = []
+        for q in members:
+            others = [keys.get(q.key) for keys in by_key]
+            line = [q.name, q.unit, *(o.text() if o else "-" for o in others)]
+            if len(runs) == 2:
+                # by how many percent a scatter differs says nothing
+                own = q.name.startswith(_INDENT)
+                line.append("" if own else percent(others[1].value if others[1] else None, q.value))
+            if with_paper:
+                line += ["-", "-"] if q.paper is None else [q.text(q.paper), percent(q.value, q.paper)]
+            rows.append(line)
+        result.append(Table(group, head, rows))
+    return result
+
+
+def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
+    """Return PEEQ, temperature and stress by depth as tables, from the top down, in the layers of the first run.
+
+    With one run: median, 5 and 95 %; with two, both medians, the second's read off between its layers, and by how much
+    it exceeds the first.
+    """
+    result = []
+    for name, title, shift, scale, form in (("peeq", "PEEQ", 0.0, 1.0, ".3f"),
+                                            ("temperature", "Temperature (°C)", 273.15, 1.0, ".1f"),
+                                            ("von_mises", "Von Mises stress (MPa)", 0.0, 1e-6, ".1f")):
+        own = runs[0][1].distributions[name]
+        columns = [own.median]
+        if len(runs) == 2:
+            other = runs[1][1].distributions[name]
+            known = np.isfinite(other.median)
+            columns.append(np.interp(own.middle, other.middle[known], other.median[known], left=np.nan, right=np.nan))
+        rows = []
+        for n in range(own.low.size):
+            values = [(float(column[n]) - shift) * scale for column in columns]
+            line = [f"{1e6 * own.low[n]:.0f} to {1e6 * own.high[n]:.0f} µm",
+                    *("-" if math.isnan(v) else f"{v:{form}}" for v in values)]
+            if len(runs) == 1:
+                line += [f"{(v - shift) * scale:{form}}" for v in own.percentiles[n][[0, -1]]]
+            else:
+                line.append(percent(values[1], values[0]))
+            rows.append(line)
+        head = (["height", "median", "5 %", "95 %"] if len(runs) == 1
+                else ["height", *(label for label, _ in runs), "difference"])
+        result.append(Table(f"{title} by height above the substrate top, median by volume", head, rows[::-1]))
+    return result
