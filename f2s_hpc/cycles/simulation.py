@@ -167,7 +167,7 @@ class Simulation:
         return not clock.stop or self.cycle == self.scene.cycles.count
 
     def insert(self) -> InsertReport:
-        """Paint or launch the batch of the present cycle, with what waited from the one before; return what happened."""
+        """Paint or launch the batch of the present cycle and what waited from the one before; return what happened."""
         scene = self.scene
         # spheres that waited come last
         batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
