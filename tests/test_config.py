@@ -42,7 +42,8 @@ def material(name):
 # Built-in scenes and library
 
 
-@pytest.mark.parametrize("name", ["quickstart", "section4", "section4-standard", "splat", "splat-quarter"])
+@pytest.mark.parametrize("name", ["quickstart", "section4", "section4-standard", "splat", "splat-quarter",
+                                  "wide-100k"])
 def test_built_in_scenes_load_and_start_with_comments(name):
     assert name in scene_names()
     assert scene_text(name).startswith("# ")

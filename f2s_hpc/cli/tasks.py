@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pathlib
 
@@ -14,9 +15,10 @@ from f2s_hpc.cycles.output import PICTURE
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
 from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
-from f2s_hpc.grid.decomposition import Decomposition, process_grid
+from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.particles.batch import clipped_volume, make_batches, write_csv
+from f2s_hpc.workload.balance import Balance, balance_of_run
 
 EXIT_REQUEUE = 75
 """Exit code of a run that stopped early with a good checkpoint: run ``f2s resume`` to go on."""
@@ -35,14 +37,23 @@ def _painted(scene: Scene, plan) -> tuple[int, float]:
 
 
 def check(scene: Scene) -> str:
-    """Return what running the scene will take; nothing is computed but the decomposition and the batches."""
+    """Return what running the scene will take; nothing is computed but the batches and the load they will make."""
     plan = mpi.run_together(make_batches, scene)
-    decomposition = Decomposition(Box(scene.domain.cells, scene.domain.cell_size))
-    parts = mpi.all_gather(decomposition.part.count)
+    balance = balance_of_run(scene, plan)
+    parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
     memory = fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
-    text = describe(scene, mpi.size(), parts, memory, painted_volume=volume, particles=particles)
+    text = describe(scene, mpi.size(), parts, memory, painted_volume=volume, particles=particles,
+                    more=[("imbalance", _balance_line(balance))])
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
+
+
+def _balance_line(balance: Balance) -> str:
+    """Return how the expected load is shared among the ranks."""
+    text = f"{balance.imbalance:.2f} expected (largest over mean active cell-steps of the ranks)"
+    if balance.weighted:
+        return text + f", with ranges weighted by the expected deposit; {balance.even:.2f} with even ones"
+    return text + ", with even ranges"
 
 
 def run(scene: Scene, out: str) -> int:

@@ -79,11 +79,13 @@ def _parts(cells_per_rank: Sequence[tuple[int, int, int]], bytes_per_cell: float
 
 
 def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]], bytes_per_cell: float,
-             painted_volume: float | None = None, particles: int | None = None) -> str:
+             painted_volume: float | None = None, particles: int | None = None,
+             more: Sequence[tuple[str, str]] = ()) -> str:
     """Return the text of ``f2s check``: the resolved scene, then sizes, time step and output.
 
     ``cells_per_rank`` are the cells (x, y, z) owned by each rank, ``bytes_per_cell`` the memory of the
-    arrays. ``painted_volume`` (m3) and ``particles`` of the whole run are printed where known.
+    arrays. ``painted_volume`` (m3) and ``particles`` of the whole run are printed where known; ``more``: further lines,
+    each a name and a text.
     """
     step = estimated_time_step(scene)
     total = scene.cycles.total_time
@@ -104,6 +106,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
                     f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression")),
         ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
          if scene.output.checkpoints else "none"),
+        *more,
         ("configuration", f"sha256 {scene_hash(scene)[:16]}"),
     ]
     width = max(len(name) for name, _ in rows) + 2
