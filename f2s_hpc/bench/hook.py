@@ -13,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from f2s_hpc import mpi
 from f2s_hpc.grid.halo import Pool
 
 KERNELS = "f2s_hpc.kernels."
@@ -63,6 +64,17 @@ def hooked(wrap: Wrapper) -> Iterator[None]:
     finally:
         for owner, name, thing in replaced:
             setattr(owner, name, thing)
+
+
+@contextmanager
+def waiting(wrap: Wrapper) -> Iterator[None]:
+    """Let what waits for other ranks, exchanges and reductions, be ``wrap(name, function)``."""
+    kept = Pool.exchange, mpi.maximum
+    Pool.exchange, mpi.maximum = wrap(EXCHANGE, kept[0]), wrap("reduction", kept[1])
+    try:
+        yield
+    finally:
+        Pool.exchange, mpi.maximum = kept
 
 
 class Stopwatches:

@@ -6,13 +6,14 @@ disc. Nothing of the solver is run and no field is allocated, so this takes seco
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST
+from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.kernels.activity import BLOCK
 from f2s_hpc.particles.batch import Batch, BatchPlan
 from f2s_hpc.workload import marks
@@ -28,13 +29,14 @@ SAMPLES = 4
 class Moment:
     """The load at one time: ``weight`` is the share of the run it stands for, ``cycle`` counts from 0.
 
-    ``blocks``: uint8 [k, j, block], active blocks of the whole box; ``flying_cells``: volume in flight (cells).
+    ``blocks``: uint8 [k, j, block], active blocks of the whole box; ``solid``: those of them that substrate and
+    deposit make active.
     """
 
     cycle: int
     weight: float
     blocks: np.ndarray
-    flying_cells: float
+    solid: np.ndarray
 
 
 def _in_cells(batch: Batch, scene: Scene) -> list[np.ndarray]:
@@ -66,11 +68,10 @@ def moments(scene: Scene, plan: BatchPlan, samples: int = SAMPLES) -> Iterator[M
             air = [(s, flying) for s, flying in air if flying.any()]
             blocks = np.zeros(shape, dtype=np.uint8)
             marks.mark_solid(blocks, height, GHOST, BLOCK)
-            volume = 0.0
+            solid = blocks.copy()
             for (x, y, z, r), flying in air:
                 marks.mark_spheres(blocks, x, y, z, r, flying, GHOST, BLOCK, nx)
-                volume += 4.0 / 3.0 * np.pi * float((r[flying] ** 3).sum())
-            yield Moment(cycle, duration / looks / scene.cycles.total_time, blocks, volume)
+            yield Moment(cycle, duration / looks / scene.cycles.total_time, blocks, solid)
         for (x, y, z, _), _ in air:
             for place, speed in zip((x, y, z), velocity):
                 place += speed * 0.5 * duration / looks
@@ -94,10 +95,29 @@ def block_shares(cells: int, starts: Sequence[int], ends: Sequence[int]) -> np.n
     return shares
 
 
+def part_cells(blocks: np.ndarray, cells: int, ranges: Ranges, width: int) -> np.ndarray:
+    """Return how many active cells each rank holds, int64 [z, y, x] of the process grid.
+
+    ``cells``: cells of a row; ``width``: ghost layers counted in (0: owned cells only), mirrored beyond the box.
+    """
+    bounds = [np.concatenate([[0], np.cumsum(counts)]) for counts in ranges]
+    x, y, z = ((b[:-1] - width, b[1:] + width) for b in bounds)
+    padded = np.pad(blocks, ((width, width), (width, width), (0, 0)), mode="symmetric") if width else blocks
+    shares = block_shares(cells, *x)
+    found = np.zeros(tuple(len(b) - 1 for b in bounds[::-1]), dtype=np.int64)
+    for c, (k0, k1) in enumerate(zip(*z)):
+        plane = padded[k0 + width:k1 + width].sum(axis=0, dtype=np.int64)
+        rows = np.array([plane[j0 + width:j1 + width].sum(axis=0) for j0, j1 in zip(*y)])
+        found[c] = rows @ shares
+    return found
+
+
 def column_load(scene: Scene, plan: BatchPlan) -> np.ndarray:
     """Return the mean number of active cells in each column of the box over the run, float64 [j, i]."""
-    nx, ny, _ = scene.domain.cells
-    load = np.zeros((ny, block_count(nx)))
-    for moment in moments(scene, plan):
-        load += moment.weight * moment.blocks.sum(axis=0, dtype=np.int64)
-    return load[:, (np.arange(nx) + GHOST) // BLOCK]
+    return summed_load(moments(scene, plan), scene.domain.cells[0])
+
+
+def summed_load(history: Iterable[Moment], cells: int) -> np.ndarray:
+    """Return :func:`column_load` from the moments of a run; ``cells``: cells of a row."""
+    load = sum(moment.weight * moment.blocks.sum(axis=0, dtype=np.int64) for moment in history)
+    return load[:, (np.arange(cells) + GHOST) // BLOCK]
