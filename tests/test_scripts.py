@@ -21,7 +21,8 @@ from conftest import ROOT, launch
 from f2s_hpc.doctor import launch_environment
 
 SHELL_FILES = ["scripts/setup", "scripts/quickstart", "scripts/test", "scripts/env.sh", ".ci/run", "jobs/common.sh",
-               "jobs/section4.sh", "jobs/wide-100k.sh", "jobs/chain.sh", "jobs/strong-scaling.sh", "jobs/weak-scaling.sh"]
+               "jobs/section4.sh", "jobs/wide-100k.sh", "jobs/chain.sh", "jobs/strong-scaling.sh",
+               "jobs/weak-scaling.sh"]
 FAKE_MPIRUN = 'shift 2\nexec "$@"'
 
 
@@ -112,7 +113,7 @@ FAKE_SBATCH = """
 
 
 def test_chain_resubmits_itself_where_requeueing_is_off(project):
-    write_command(project / ".venv/bin/srun", 'echo "srun $*" >>calls\nshift 2\nexec "$@"')
+    write_command(project / ".venv/bin/srun", 'echo "srun $*" >>calls\nshift 3\nexec "$@"')
     write_command(project / ".venv/bin/f2s", "mkdir -p runs/c/checkpoints; touch runs/c/checkpoints/a.json; exit 75")
     write_command(project / ".venv/bin/scontrol", "exit 1")
     write_command(project / ".venv/bin/sbatch", FAKE_SBATCH)
@@ -166,12 +167,12 @@ TINY = """
 def test_chain_of_real_runs_ends_complete_and_equal_to_one_run(project):
     """The resume chain end to end: links that are signalled early, resumed by the next, give the bits of one run."""
     (project / "tiny.toml").write_text(textwrap.dedent(TINY))
-    # each link but the last is asked for a checkpoint after some steps, as SLURM would before the time limit
+    # each link but the last has no time left after its first step, as if SLURM had signalled it
     write_command(project / ".venv/bin/f2s", f"""
         echo "$1" >>calls
-        limit=()
-        [ $(wc -l <calls) -gt 2 ] || limit=(--set 'run.wall_time=1 ns')
-        exec {sys.executable} -m f2s_hpc "$@" "${{limit[@]}}"
+        limit="1 ns"
+        [ $(wc -l <calls) -le 2 ] || limit="1 h"
+        exec {sys.executable} -m f2s_hpc "$@" --set "run.wall_time=$limit"
         """)
     write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
     chained = bash(["jobs/chain.sh"], project, SCENE="tiny.toml", OUT="runs/chain", PYTHONPATH=str(ROOT))

@@ -6,7 +6,7 @@ import itertools
 import os
 import pathlib
 
-from f2s_hpc import fields, mpi
+from f2s_hpc import mpi
 from f2s_hpc.analysis.table import format_table
 from f2s_hpc.config import describe, load_scene, scene_hash
 from f2s_hpc.config.load import parse_scene
@@ -18,6 +18,8 @@ from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.particles.batch import clipped_volume, make_batches, write_csv
+from f2s_hpc.units import pretty_bytes
+from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import Balance, balance_of_run
 
 EXIT_REQUEUE = 75
@@ -42,10 +44,17 @@ def check(scene: Scene) -> str:
     balance = balance_of_run(scene, plan)
     parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
-    memory = fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
-    text = describe(scene, mpi.size(), parts, memory, painted_volume=volume, particles=particles,
-                    more=[("imbalance", _balance_line(balance))])
+    text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
+                    more=[("memory", _memory_line(scene, balance)), ("imbalance", _balance_line(balance))])
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
+
+
+def _memory_line(scene: Scene, balance: Balance) -> str:
+    """Return what the rank that needs most memory will need of it."""
+    need = memory.of_fullest(scene, balance.ranges)
+    picture = f"; {pretty_bytes(memory.PICTURE)} more on rank 0 for the picture" if scene.output.picture else ""
+    return (f"{pretty_bytes(need.total)} on the largest rank: {pretty_bytes(need.baseline)} for the process and its "
+            f"libraries, and {need.per_cell:.0f} bytes per cell{picture}")
 
 
 def _balance_line(balance: Balance) -> str:

@@ -69,23 +69,20 @@ def _particles_line(scene: Scene, particles: int | None, painted_volume: float |
     return text
 
 
-def _parts(cells_per_rank: Sequence[tuple[int, int, int]], bytes_per_cell: float) -> list[tuple[str, str]]:
+def _parts(cells_per_rank: Sequence[tuple[int, int, int]]) -> list[tuple[str, str]]:
     counts = [math.prod(cells) for cells in cells_per_rank]
     small, large = min(cells_per_rank, key=math.prod), max(cells_per_rank, key=math.prod)
     spread = _grid(small) if small == large else f"{_grid(small)} to {_grid(large)}"
-    most, all_ranks = pretty_bytes(max(counts) * bytes_per_cell), pretty_bytes(sum(counts) * bytes_per_cell)
-    return [("cells per rank", f"{spread}  ({min(counts):,} to {max(counts):,})"),
-            ("memory", f"{most} on the largest rank, {all_ranks} in all")]
+    return [("cells per rank", f"{spread}  ({min(counts):,} to {max(counts):,})")]
 
 
-def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]], bytes_per_cell: float,
+def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]],
              painted_volume: float | None = None, particles: int | None = None,
              more: Sequence[tuple[str, str]] = ()) -> str:
     """Return the text of ``f2s check``: the resolved scene, then sizes, time step and output.
 
-    ``cells_per_rank`` are the cells (x, y, z) owned by each rank, ``bytes_per_cell`` the memory of the
-    arrays. ``painted_volume`` (m3) and ``particles`` of the whole run are printed where known; ``more``: further lines,
-    each a name and a text.
+    ``cells_per_rank`` are the cells (x, y, z) owned by each rank. ``painted_volume`` (m3) and ``particles`` of the whole
+    run are printed where known; ``more``: further lines, each a name and a text.
     """
     step = estimated_time_step(scene)
     total = scene.cycles.total_time
@@ -96,7 +93,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("box", box),
         ("cells", f"{_grid(scene.domain.cells)} = {cells:,} of {pretty(scene.domain.cell_size, 'length')}"),
         ("ranks", f"{ranks}"),
-        *_parts(cells_per_rank, bytes_per_cell),
+        *_parts(cells_per_rank),
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("cycles", f"{_count(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
         ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "

@@ -232,6 +232,8 @@ class Simulation:
     def summary(self) -> dict:
         """Return ``summary.json``: the last row of the cycle table, or the present state, and the run as a whole."""
         row = self.rows[-1] if self.rows and not self.batch_is_in else self._row()
+        memory = mpi.all_gather(measure.peak_memory())  # the frame after the last row may have been the largest
+        row = row | {"peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}

@@ -21,7 +21,7 @@ import numpy as np
 
 from f2s_hpc.config.describe import estimated_time_step
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.grid.box import GHOST, Box, Part
+from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.particles.batch import BatchPlan
 from f2s_hpc.workload import memory
@@ -136,7 +136,7 @@ def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, n
         found[count] = Prediction(
             count, tuple(map(len, balance.ranges)), math.prod(largest), active, steps, step, step * steps,
             float(seconds.max()) if count > 1 else 0.0,
-            memory.of_rank(scene, Part(Box(scene.domain.cells, scene.domain.cell_size), (0, 0, 0), largest), count),
+            memory.of_fullest(scene, balance.ranges).total,
             int(sent.max()), float(mean.max() / mean.mean()), alone / (count * step * steps))
     return [found[count] for count in ranks]
 
