@@ -81,8 +81,8 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
              more: Sequence[tuple[str, str]] = ()) -> str:
     """Return the text of ``f2s check``: the resolved scene, then sizes, time step and output.
 
-    ``cells_per_rank`` are the cells (x, y, z) owned by each rank. ``painted_volume`` (m3) and ``particles`` of the whole
-    run are printed where known; ``more``: further lines, each a name and a text.
+    ``cells_per_rank`` are the cells (x, y, z) owned by each rank. ``painted_volume`` (m3) and ``particles`` of the
+    whole run are printed where known; ``more``: further lines, each a name and a text.
     """
     step = estimated_time_step(scene)
     total = scene.cycles.total_time
