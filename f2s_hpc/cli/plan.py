@@ -28,15 +28,22 @@ def _ranks(text: str) -> list[int]:
     return ranks
 
 
+def _time(option: str, text: str) -> float:
+    try:
+        return units.parse(text, "time")
+    except units.UnitError as error:
+        raise InputError(f"f2s plan: {option} {text}: {error}") from None
+
+
 def run(parsed: argparse.Namespace) -> int:
     """Predict, and check if asked; return the exit code."""
     if mpi.size() > 1:
         raise InputError("f2s plan runs alone, not under mpirun; --ranks names the ranks to plan for")
     ranks = _ranks(parsed.ranks)
-    latency = units.parse(parsed.latency, "time")
+    latency = _time("--latency", parsed.latency)
     if not (latency >= 0.0 and 0.0 < parsed.bandwidth < float("inf")):
         raise InputError("f2s plan: --latency must not be negative and --bandwidth must be above 0")
-    duration = units.parse(parsed.check_time, "time") if parsed.check_time else None
+    duration = _time("--check-time", parsed.check_time) if parsed.check_time else None
     scene = load_scene(parsed.scene, parsed.overrides)
     plan = make_batches(scene)
     network = predict.Network(latency, 1e9 * parsed.bandwidth)
