@@ -144,8 +144,8 @@ def test_weak_scaling_repeats_the_patch():
 
 
 def test_scaling_script_runs_and_writes(tmp_path):
-    command = [sys.executable, str(ROOT / "scripts/scaling.py"), "--scene", "quickstart", "--ranks", "1,2", "--duration",
-               "8 ns", "--out", "study"]
+    command = [sys.executable, str(ROOT / "scripts/scaling.py"), "--scene", "quickstart", "--ranks", "1,2",
+               "--duration", "8 ns", "--out", "study"]
     done = launch(command, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     rows = json.loads((tmp_path / "study/scaling.json").read_text())
