@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pathlib
@@ -15,16 +16,19 @@ import numpy as np
 from f2s_hpc._jit import cache_directory
 from f2s_hpc.bench import states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
+from f2s_hpc.bench.trial import typical
 from f2s_hpc.build import build_model
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.particles.batch import BatchPlan
 from f2s_hpc.solver.model import Model
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.workload.predict import FLYING, SOLID, Rates
 
-TILES = ((1, 1), (2, 2), (4, 4))
-"""Sizes measured: their ghosts are 160, 67 and 31 % of the cells, so both costs can be told apart."""
+TILES = ((1, 1), (2, 2), (4, 4), (8, 8))
+"""Sizes measured, from in cache to far out of it: their ghosts are 140 to 20 % of the cells, so that the costs of both
+can be told apart."""
 
 KINDS = {SOLID: "deposit", FLYING: "flying"}
 STEPS = 18
@@ -38,13 +42,13 @@ def model_for(scene: Scene) -> Model:
 
 
 def _step_seconds(setup: Setup) -> float:
-    """Return the lower quartile of the CPU time of steps: other users of the machine only ever make them longer."""
+    """Return the CPU time of a step, averaged as the trial runs are that the prediction is held against."""
     seconds = []
     for _ in range(STEPS):
         start = time.thread_time()
         setup.advance(1)
         seconds.append(time.thread_time() - start)
-    return float(np.quantile(seconds[2:], 0.25))
+    return typical(seconds[2:])
 
 
 def _active(setup: Setup) -> tuple[int, int]:
@@ -86,14 +90,30 @@ def _packing_rate(memory: np.ndarray) -> float:
     return 8.0 * place.size / best
 
 
-def calibrate(scene: Scene, say: Callable[[str], None] = lambda text: None) -> Rates:
-    """Measure the rates of the step with the material and settings of ``scene``; one rank."""
+def particles_in_patch(scene: Scene, plan: BatchPlan) -> list[tuple[float, float, float, float]] | None:
+    """Return the spheres (cells) of the scene's first batch in the middle of its layer that fit the patch, if any."""
+    batch, dx = plan.batches[plan.order[0]], scene.domain.cell_size
+    width, depth, height = states.PATCH
+    low = [max(0.0, 0.5 * (extent / dx - size)) for extent, size in zip(
+        (*scene.domain.extents[:2], scene.domain.particle_layer_height), states.PATCH)]
+    x, y, z, r = batch.x / dx - low[0], batch.y / dx - low[1], batch.z / dx - low[2], batch.r / dx
+    inside = (x > 0.0) & (x < width) & (y > 0.0) & (y < depth) & (z - r > 1.0) & (z + r < height - 1.0)
+    return list(zip(*(a[inside] for a in (x, y, z, r)))) or None
+
+
+def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda text: None) -> Rates:
+    """Measure the rates of the step with material, settings and particles of ``scene``; one rank."""
     say("measuring the rates of the step on this machine, some half a minute")
     model = model_for(scene)
     rows, times, kinds = [], [], list(KINDS)
     exchanges, packing = (), 0.0
     for kind, state in KINDS.items():
-        saved = states.save(states.STATES[state](model))
+        if kind == FLYING:
+            # how many cells of a particle its surface cuts decides what it costs: the scene's own particles and cells
+            model = model._replace(dx=scene.domain.cell_size)
+            saved = states.save(states.flying(model, particles_in_patch(scene, plan), scene.particles.speed))
+        else:
+            saved = states.save(states.STATES[state](model))
         for tiles in TILES:
             setup = states.tiled(saved, model, tiles)
             seconds = _step_seconds(setup)
@@ -126,11 +146,13 @@ def _fitted(rows: list[tuple[int, int, int]], times: list[float], kinds: list[st
 
 
 def cache_file(scene: Scene) -> pathlib.Path:
-    """Return where the rates for the material and settings of ``scene`` are kept: beside the compiled kernels."""
+    """Return where the rates for material, settings and particles of ``scene`` are kept: beside the compiled kernels."""
     model = build_model(scene)
     s = model.settings
     parts = (type(model.flow).__name__, type(model.eos).__name__, "conduction" if s.conduction else "adiabatic",
              "2nd" if s.second_order else "1st")
+    own = (scene.domain.cell_size, scene.domain.particle_layer_height, scene.batches, scene.particles)
+    parts = (*parts, hashlib.sha256(repr(own).encode()).hexdigest()[:8])
     return pathlib.Path(cache_directory()) / f"rates-{'-'.join(parts)}.json"
 
 
@@ -160,11 +182,11 @@ def read_rates(path: str | os.PathLike) -> Rates:
     return rates
 
 
-def rates_for(scene: Scene, path: str | None, say: Callable[[str], None] = lambda text: None) -> Rates:
+def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[str], None] = lambda text: None) -> Rates:
     """Return the rates of the file ``path`` if it is there, else of the cache, else measured now and kept."""
     place = pathlib.Path(path) if path else cache_file(scene)
     if place.exists():
         return read_rates(place)
-    rates = calibrate(scene, say)
+    rates = calibrate(scene, plan, say)
     write_rates(place, rates)
     return rates

@@ -151,7 +151,7 @@ def draw(rows: Sequence[dict], path: pathlib.Path) -> None:
     axes.set_ylim(0.0, max(1.1, 1.05 * max(row["busy_efficiency"] for row in rows)))
     axes.axhline(1.0, color="#999999", linewidth=0.8)
     axes.set_xlabel("ranks")
-    axes.set_ylabel("efficiency (active cell-steps/s/core over that of the first row)", fontsize=8.5)
+    axes.set_ylabel("efficiency against the first row")
     axes.grid(color="#dddddd", linewidth=0.6)
     axes.legend(frameon=False, fontsize=9, loc="lower left")
     axes.set_title("Scaling", loc="left", fontsize=11, fontweight="bold")

@@ -6,7 +6,7 @@ is what its symmetric sides mean. So all sizes hold the same mix of full cells, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -91,9 +91,11 @@ def deposit(model: Model) -> Setup:
     return setup
 
 
-def flying(model: Model) -> Setup:
-    """Return the patch with a batch in free flight in it and nothing else."""
-    setup = make_setup(PATCH, model, _spheres(_batches()[0], SUBSTRATE), (0.0, 0.0, -SPEED), 723.15)
+def flying(model: Model, spheres: Sequence[tuple[float, float, float, float]] | None = None,
+           speed: float = SPEED) -> Setup:
+    """Return the patch with ``spheres`` (x, y, z, r in cells; the first batch if None) in free flight, nothing else."""
+    spheres = _spheres(_batches()[0], SUBSTRATE) if spheres is None else spheres
+    setup = make_setup(PATCH, model, spheres, (0.0, 0.0, -speed), 723.15)
     setup.advance(20)
     return setup
 

@@ -47,7 +47,7 @@ def run(parsed: argparse.Namespace) -> int:
     scene = load_scene(parsed.scene, parsed.overrides)
     plan = make_batches(scene)
     network = predict.Network(latency, 1e9 * parsed.bandwidth)
-    rates = measured.rates_for(scene, parsed.rates, print)
+    rates = measured.rates_for(scene, plan, parsed.rates, print)
     print(f"rates of {rates.where}: {1e3 * rates.per_step:.2f} ms per step, "
           + ", ".join(f"{1e9 * cost:.0f} ns per {kind} cell" for kind, cost in rates.per_cell.items())
           + f", a ghost {rates.ghost_share:.0%} of that, packing {1e-9 * rates.packing:.1f} GB/s")
