@@ -141,12 +141,16 @@ def _fitted(rows: list[tuple[int, int, int]], times: list[float], kinds: list[st
         if best is None or error < best[0]:
             best = (error, float(share), found)
     _, share, found = best
+    # what the fit leaves is the caches: small boxes run in them, large ones do not
+    fitted = found[0] + found[1:][kind] * (owned + share * ghosts)
+    sizes = [(int((owned + ghosts)[n::len(TILES)].mean()), float((seconds / fitted)[n::len(TILES)].mean()))
+             for n in range(min(len(TILES), seconds.size // len(kinds)))]
     return Rates(float(found[0]), {name: float(c) for name, c in zip(kinds, found[1:])}, share, packing,
-                 tuple(exchanges), 1, f"{platform.node()}, {platform.machine()}")
+                 tuple(exchanges), 1, f"{platform.node()}, {platform.machine()}", tuple(sizes))
 
 
 def cache_file(scene: Scene) -> pathlib.Path:
-    """Return where the rates for material, settings and particles of ``scene`` are kept: beside the compiled kernels."""
+    """Return where the rates for material, settings and particles of ``scene`` are kept: beside the kernels."""
     model = build_model(scene)
     s = model.settings
     parts = (type(model.flow).__name__, type(model.eos).__name__, "conduction" if s.conduction else "adiabatic",
@@ -171,6 +175,7 @@ def read_rates(path: str | os.PathLike) -> Rates:
     try:
         record = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
         record["exchanges"] = tuple((int(c), int(n)) for c, n in record["exchanges"])
+        record["sizes"] = tuple((int(n), float(factor)) for n, factor in record["sizes"])
         rates = Rates(**record)
         numbers = [rates.per_step, rates.ghost_share, rates.packing, *(rates.per_cell[kind] for kind in KINDS)]
         if not all(np.isfinite(float(n)) and n >= 0.0 for n in numbers) or rates.packing == 0.0:

@@ -39,7 +39,8 @@ network takes 1 to 2 us, and a link of 25 GB/s is shared by the ranks of a node 
 class Rates:
     """Measured costs of the step on one core (seconds, bytes/s).
 
-    ``exchanges``: how many cell and node fields each ghost exchange of a step carries; ``reductions``: of a step.
+    ``exchanges``: how many cell and node fields each ghost exchange of a step carries; ``reductions``: of a step;
+    ``sizes``: by which factor a step on so many active cells, ghosts included, is slower than the model says (caches).
     """
 
     per_step: float
@@ -49,6 +50,7 @@ class Rates:
     exchanges: tuple[tuple[int, int], ...]
     reductions: int = 1
     where: str = ""
+    sizes: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,10 +111,15 @@ def message_seconds(scene: Scene, ranges: Ranges, rates: Rates, network: Network
 def busy_seconds(moment: Moment, cells: int, ranges: Ranges, rates: Rates) -> np.ndarray:
     """Return the seconds that each rank computes in a step at a moment, [z, y, x] of the process grid."""
     busy = np.full(tuple(len(r) for r in ranges[::-1]), rates.per_step)
+    visited = 0
     for kind, blocks in ((SOLID, moment.solid), (FLYING, moment.blocks & ~moment.solid & 1)):
         owned = part_cells(blocks, cells, ranges, 0)
         local = part_cells(blocks, cells, ranges, GHOST)
         busy = busy + rates.per_cell[kind] * (owned + rates.ghost_share * (local - owned))
+        visited = visited + local
+    if rates.sizes:
+        cells_there, factors = zip(*rates.sizes)
+        busy = busy * np.interp(np.log(np.maximum(visited, 1)), np.log(cells_there), factors)
     return busy
 
 
