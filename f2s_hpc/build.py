@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import SIDES, Box
-from f2s_hpc.grid.decomposition import Decomposition
+from f2s_hpc.grid.decomposition import Decomposition, Ranges
 from f2s_hpc.materials import params
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model, Settings
@@ -50,12 +50,13 @@ def build_model(scene: Scene) -> Model:
                  2.0**-MASS_BITS)
 
 
-def build_state(scene: Scene) -> State:
-    """Return the empty, distributed state of a scene (collective)."""
+def build_state(scene: Scene, ranges: Ranges | None = None) -> State:
+    """Return the empty, distributed state of a scene (collective); ``ranges``: what each rank owns, even if None."""
     box = Box(scene.domain.cells, scene.domain.cell_size)
     sides = {side: getattr(scene.domain.faces, side) for side in SIDES}
     n = scene.numerics
-    return State(Decomposition(box), sides, scene.mie_grueneisen, n.loss_heating, scene.output.origin, n.active_rows)
+    return State(Decomposition(box, ranges=ranges), sides,
+                 scene.mie_grueneisen, n.loss_heating, scene.output.origin, n.active_rows)
 
 
 def build_ledger(model: Model) -> Ledger:

@@ -98,8 +98,3 @@ def needed(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False
     left_out = {name for name, asked in (("internal_energy", mie_grueneisen), ("lost_energy", loss_heating),
                                          (ORIGIN, origin)) if not asked}
     return tuple(f for f in FIELDS if f.name not in left_out)
-
-
-def bytes_per_cell(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False) -> float:
-    """Return the memory of all fields per cell that is touched (bytes)."""
-    return 8.0 * len(needed(mie_grueneisen, loss_heating, origin))

@@ -41,7 +41,13 @@ link() {
     fi
 }
 
+# back_to_the_queue: this very job again; where requeueing is switched off, a new job of the same script.
+back_to_the_queue() {
+    scontrol requeue "$SLURM_JOB_ID" || OUT=$OUT SCENE=$SCENE sbatch --ntasks="$NTASKS" "$F2S_ROOT/${JOB_SCRIPT:-jobs/chain.sh}"
+}
+
 prepare_node
+provenance "$OUT.jobs.txt"
 while true; do
     before=$(newest_checkpoint)
     code=0
@@ -56,7 +62,7 @@ while true; do
     fi
     if [ -n "${SLURM_JOB_ID:-}" ]; then
         echo "not finished: back to the queue"
-        scontrol requeue "$SLURM_JOB_ID"
+        back_to_the_queue
         exit 0
     fi
 done

@@ -23,10 +23,24 @@ prepare_node() {
     fi
     . scripts/env.sh
     # Network file systems are slow for many small files, and lock them badly.
-    if [ -n "${SLURM_TMPDIR:-}" ]; then
-        export F2S_CACHE_DIR="$SLURM_TMPDIR/f2s_hpc"
+    if [ -n "${SLURM_JOB_ID:-}" ]; then
+        export F2S_CACHE_DIR="${SLURM_TMPDIR:-${TMPDIR:-/tmp}/f2s_hpc-$(id -u)}/kernels"
     fi
     command -v f2s >/dev/null || { echo "f2s is not on PATH: run scripts/setup in $F2S_ROOT first" >&2; exit 1; }
+}
+
+# provenance FILE: append what ran where, so that a result can be traced to its job; also into the log.
+provenance() {
+    [ "$DRY_RUN" = 1 ] && return
+    mkdir -p "$(dirname "$1")"
+    {
+        echo "date      $(date '+%F %T %z')"
+        echo "job       ${SLURM_JOB_ID:-none} ${SLURM_JOB_NAME:-} on ${SLURM_JOB_NODELIST:-$(hostname)}, $NTASKS ranks"
+        echo "code      $(git describe --always --dirty 2>/dev/null || echo 'no git here')"
+        echo "modules   ${LOADEDMODULES:-${F2S_MODULES:-none}}"
+        echo "launcher  $LAUNCH"
+        echo "kernels   ${F2S_CACHE_DIR:-in the cache of the user}"
+    } | tee -a "$1"
 }
 
 # run_ranks N COMMAND...: run COMMAND on N ranks and return its exit code. SIGUSR1, which SLURM sends to this

@@ -24,6 +24,7 @@ CELL_SIZE=${CELL_SIZE:-3 um}
 OUT=${OUT:-runs/section4-${SLURM_JOB_ID:-local}}
 
 prepare_node
+provenance "$OUT.jobs.txt"
 code=0
 run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" --set "domain.cell_size=$CELL_SIZE" "$@" || code=$?
 if [ $code -eq 75 ]; then

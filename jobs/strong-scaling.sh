@@ -33,6 +33,7 @@ measure() {
 }
 
 prepare_node
+provenance "$OUT.jobs.txt"
 measure 1 "$OUT/compile" "1 ns"
 for ranks in $RANKS; do
     measure "$ranks" "$OUT/ranks-$ranks" "$DURATION"

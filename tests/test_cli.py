@@ -89,7 +89,8 @@ def test_scenes_lists_all_built_in_scenes(capsys):
     assert all(len(line.split()) > 3 for line in lines)
 
 
-@pytest.mark.parametrize("name", ["splat", "section4", "section4-standard", "quickstart", "track-120", "multitrack"])
+@pytest.mark.parametrize("name", ["splat", "section4", "section4-standard", "quickstart", "track-120", "multitrack",
+                                  "wide-100k"])
 def test_a_printed_scene_loads_as_the_scene(capsys, tmp_path, name):
     assert main(["scenes", name]) == 0
     path = tmp_path / "edited.toml"

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.batch import (
     Batch,
@@ -351,3 +352,15 @@ def test_nothing_to_spray_is_refused():
         make_batches(scene(spheres=[[75 * UM, 60 * UM, 20 * UM, -UM]]))
     with pytest.raises(InputError, match="no particle of batch 1 fits"):
         make_batches(scene(particle_layer_height=5 * UM))
+
+
+def test_the_wide_scene_holds_a_hundred_thousand_particles():
+    """All of them find room, as many per area and cycle as in section4, and no thinner than two cells."""
+    wide, narrow = load_scene("wide-100k"), load_scene("section4")
+    plan = make_batches(wide)
+    assert [batch.count for batch in plan.batches] == [20480] * 5
+    assert sorted(plan.order) == [0, 1, 2, 3, 4]
+    assert sum(plan.batches[b].count for b in plan.order) == 102_400
+    areas = [scene.domain.size[0] * scene.domain.size[1] for scene in (wide, narrow)]
+    assert 20480 / areas[0] == pytest.approx(narrow.batches.particles / areas[1], rel=0.001)
+    assert min(batch.r.min() for batch in plan.batches) >= wide.domain.cell_size

@@ -21,7 +21,8 @@ from conftest import ROOT, launch
 from f2s_hpc.doctor import launch_environment
 
 SHELL_FILES = ["scripts/setup", "scripts/quickstart", "scripts/test", "scripts/env.sh", ".ci/run", "jobs/common.sh",
-               "jobs/section4.sh", "jobs/chain.sh", "jobs/strong-scaling.sh", "jobs/weak-scaling.sh"]
+               "jobs/section4.sh", "jobs/wide-100k.sh", "jobs/chain.sh", "jobs/strong-scaling.sh",
+               "jobs/weak-scaling.sh"]
 FAKE_MPIRUN = 'shift 2\nexec "$@"'
 
 
@@ -59,12 +60,13 @@ def test_shell_syntax(name):
     assert os.access(ROOT / name, os.X_OK) or name in ("scripts/env.sh", "jobs/common.sh")
 
 
-@pytest.mark.parametrize("job", ["section4", "chain", "strong-scaling", "weak-scaling"])
+@pytest.mark.parametrize("job", ["section4", "wide-100k", "chain", "strong-scaling", "weak-scaling"])
 def test_job_dry_run_prints_its_commands(project, job):
     done = bash([f"jobs/{job}.sh"], project, DRY_RUN="1", SLURM_NTASKS="4", OUT="runs/here")
     assert done.returncode == 0, done.stderr
     commands = done.stdout.splitlines()
-    assert all(re.match(r"mpirun -n \d+ f2s run section4 --out runs/here", line) for line in commands)
+    scene = "wide-100k" if job == "wide-100k" else "section4"
+    assert all(re.match(rf"mpirun -n \d+ f2s run {scene} --out runs/here", line) for line in commands)
     ranks = [int(line.split()[2]) for line in commands]
     assert ranks == ([1, 1, 2, 4] if "scaling" in job else [4])
     assert not (project / "runs").exists()
@@ -101,6 +103,85 @@ def test_chain_in_slurm_goes_back_to_the_queue(project):
     done = bash(["jobs/chain.sh"], project, OUT="runs/c", SLURM_JOB_ID="17", SLURM_SUBMIT_DIR=str(project))
     assert done.returncode == 0, done.stdout + done.stderr
     assert (project / "calls").read_text() == "scontrol requeue 17\n"
+
+
+FAKE_SBATCH = """
+    # as SLURM does it: directives are read, the script is started elsewhere with the job's variables
+    echo "sbatch $*" >>calls
+    grep -c '^#SBATCH' "${@: -1}" >>directives
+    """
+
+
+def test_chain_resubmits_itself_where_requeueing_is_off(project):
+    write_command(project / ".venv/bin/srun", 'echo "srun $*" >>calls\nshift 3\nexec "$@"')
+    write_command(project / ".venv/bin/f2s", "mkdir -p runs/c/checkpoints; touch runs/c/checkpoints/a.json; exit 75")
+    write_command(project / ".venv/bin/scontrol", "exit 1")
+    write_command(project / ".venv/bin/sbatch", FAKE_SBATCH)
+    done = bash(["jobs/wide-100k.sh"], project, OUT="runs/c", SLURM_JOB_ID="17", SLURM_SUBMIT_DIR=str(project),
+                SLURM_NTASKS="8", LAUNCH="srun --mpi=pmix -n")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (project / "calls").read_text().splitlines() == [
+        "srun --mpi=pmix -n 8 f2s run wide-100k --out runs/c", f"sbatch --ntasks=8 {project}/jobs/wide-100k.sh"]
+    assert int((project / "directives").read_text()) >= 8
+
+
+@pytest.mark.parametrize("job", ["section4", "wide-100k", "chain", "strong-scaling", "weak-scaling"])
+def test_jobs_run_under_slurm_and_tell_where(project, job):
+    """Every job through fake commands of SLURM: launched by srun, kernels on the node's disk, provenance written."""
+    write_command(project / ".venv/bin/srun", 'echo "$*" >>calls\nwhile [ "$1" != f2s ]; do shift; done\nexec "$@"')
+    write_command(project / ".venv/bin/f2s", 'echo "$F2S_CACHE_DIR" >>caches')
+    write_command(project / ".venv/bin/python", "exit 0")
+    done = bash([f"jobs/{job}.sh"], project, OUT="runs/o", SLURM_JOB_ID="9", SLURM_NTASKS="4", SLURM_TMPDIR="/local",
+                SLURM_SUBMIT_DIR=str(project), LAUNCH="srun -n")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert all(line.startswith("-n ") for line in (project / "calls").read_text().splitlines())
+    assert set((project / "caches").read_text().splitlines()) == {"/local/kernels"}
+    assert "job       9" in (project / "runs/o.jobs.txt").read_text()
+    text = (project / "jobs" / f"{job}.sh").read_text()
+    assert "#SBATCH --time=" in text
+    assert "#SBATCH --signal=B:USR1@" in text or "scaling" in job
+
+
+TINY = """
+    title = "a chain of jobs"
+    [domain]
+    size = ["36 um", "36 um", "60 um"]
+    cell_size = "6 um"
+    substrate_height = "12 um"
+    particle_layer_height = "48 um"
+    [material]
+    name = "copper-ge"
+    [particles]
+    speed = "615 m/s"
+    temperature = "450 degC"
+    [batches]
+    spheres = [["18 um", "18 um", "14 um", "12 um"]]
+    [cycles]
+    count = 2
+    duration = "40 ns"
+    [output]
+    picture = false
+    """
+
+
+def test_chain_of_real_runs_ends_complete_and_equal_to_one_run(project):
+    """The resume chain end to end: links that are signalled early, resumed by the next, give the bits of one run."""
+    (project / "tiny.toml").write_text(textwrap.dedent(TINY))
+    # each link but the last has no time left after its first step, as if SLURM had signalled it
+    write_command(project / ".venv/bin/f2s", f"""
+        echo "$1" >>calls
+        limit="1 ns"
+        [ $(wc -l <calls) -le 2 ] || limit="1 h"
+        exec {sys.executable} -m f2s_hpc "$@" --set "run.wall_time=$limit"
+        """)
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    chained = bash(["jobs/chain.sh"], project, SCENE="tiny.toml", OUT="runs/chain", PYTHONPATH=str(ROOT))
+    assert chained.returncode == 0, chained.stdout + chained.stderr
+    assert (project / "calls").read_text().split() == ["run", "resume", "resume"]
+    for arguments in (["run", "tiny.toml", "--out", "runs/once"], ["compare", "--exact", "runs/chain", "runs/once"]):
+        done = launch([sys.executable, "-m", "f2s_hpc", *arguments], cwd=project)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads((project / "runs/chain/summary.json").read_text())["status"] == "complete"
 
 
 @pytest.mark.parametrize(("body", "code", "said"), [

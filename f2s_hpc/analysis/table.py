@@ -45,6 +45,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("numerical_loss_fraction", "", "loss", "%", ".1f", 1e2),
     Column("active_cells", "", "active", "kcells", ".1f", 1e-3),
     Column("active_cell_steps_per_s", "", "Mcell-", "steps/s", ".2f", 1e-6),
+    Column("imbalance", "", "imbal-", "ance", ".2f"),
     Column("peak_memory_bytes_per_rank", "memory", "per rank", "MiB", ".0f", 1 / _MEBIBYTE),
 )
 

@@ -26,6 +26,17 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("scenes", "list the built-in scenes, or print one as TOML to edit")
     sub.add_argument("name", nargs="?", metavar="NAME")
     scene_arguments(command("check", "validate a scene and say what running it will take"))
+    sub = command("plan", "predict time, memory and efficiency of a scene on any number of ranks")
+    scene_arguments(sub)
+    sub.add_argument("--ranks", default="1,2,4,16,64", metavar="N[,N..]", help="numbers of ranks (1,2,4,16,64)")
+    sub.add_argument("--rates", metavar="FILE",
+                     help="measured rates of the step; if FILE is not there they are measured and written to it")
+    sub.add_argument("--latency", default="2 us", metavar="TIME", help='of a message between ranks ("2 us")')
+    sub.add_argument("--bandwidth", type=float, default=5.0, metavar="GB/S", help="of a rank's messages, GB/s (5)")
+    sub.add_argument("--check", action="store_true",
+                     help="run the start of the scene on 1 and 2 ranks and print predicted over measured")
+    sub.add_argument("--check-time", metavar="TIME", help="simulated time of --check (40 steps)")
+    sub.add_argument("--json", metavar="FILE", help="write the predictions as JSON")
     sub = command("run", "run a scene (alone or under mpirun)")
     scene_arguments(sub)
     sub.add_argument("--out", metavar="DIR", help="new folder for the results (default: runs/<scene>)")
@@ -88,6 +99,11 @@ def _check(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _plan(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import plan
+    return plan.run(arguments)
+
+
 def _run(arguments: argparse.Namespace) -> int:
     from f2s_hpc.cli import tasks
     scene = tasks.load(arguments.scene, arguments.overrides)
@@ -144,9 +160,9 @@ def _doctor(arguments: argparse.Namespace) -> int:
     return run_doctor(sys.stdout)
 
 
-_COMMANDS = {"scenes": _scenes, "check": _check, "run": _run, "resume": _resume, "particles": _particles,
-             "stream": _stream, "feed": _feed, "inspect": _inspect, "analyse": measuring.analyse,
-             "compare": measuring.compare, "report": measuring.report, "verify": _verify}
+_COMMANDS = {"scenes": _scenes, "check": _check, "plan": _plan, "run": _run, "resume": _resume,
+             "particles": _particles, "stream": _stream, "feed": _feed, "inspect": _inspect,
+             "analyse": measuring.analyse, "compare": measuring.compare, "report": measuring.report, "verify": _verify}
 
 
 def main(arguments: list[str]) -> int:

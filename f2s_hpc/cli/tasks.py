@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pathlib
 
-from f2s_hpc import fields, mpi
+from f2s_hpc import mpi
 from f2s_hpc.analysis.stream import draw_batches
 from f2s_hpc.analysis.table import format_table
 from f2s_hpc.config import describe, load_scene, scene_hash
@@ -15,9 +16,12 @@ from f2s_hpc.cycles.output import PICTURE
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
 from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
-from f2s_hpc.grid.decomposition import Decomposition, process_grid
+from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.particles.batch import clipped_volume, make_batches, write_csv
+from f2s_hpc.units import pretty_bytes
+from f2s_hpc.workload import memory
+from f2s_hpc.workload.balance import Balance, balance_of_run
 
 EXIT_REQUEUE = 75
 """Exit code of a run that stopped early with a good checkpoint: run ``f2s resume`` to go on."""
@@ -38,14 +42,30 @@ def _painted(scene: Scene, plan) -> tuple[int, float]:
 
 
 def check(scene: Scene) -> str:
-    """Return what running the scene will take; nothing is computed but the decomposition and the batches."""
+    """Return what running the scene will take; nothing is computed but the batches and the load they will make."""
     plan = mpi.run_together(make_batches, scene)
-    decomposition = Decomposition(Box(scene.domain.cells, scene.domain.cell_size))
-    parts = mpi.all_gather(decomposition.part.count)
+    balance = balance_of_run(scene, plan)
+    parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
-    memory = fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
-    text = describe(scene, mpi.size(), parts, memory, painted_volume=volume, particles=particles)
+    text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
+                    more=[("memory", _memory_line(scene, balance)), ("imbalance", _balance_line(balance))])
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
+
+
+def _memory_line(scene: Scene, balance: Balance) -> str:
+    """Return what the rank that needs most memory will need of it."""
+    need = memory.of_fullest(scene, balance.ranges)
+    picture = f"; {pretty_bytes(memory.PICTURE)} more on rank 0 for the picture" if scene.output.picture else ""
+    return (f"{pretty_bytes(need.total)} on the largest rank: {pretty_bytes(need.baseline)} for the process and its "
+            f"libraries, and {need.per_cell:.0f} bytes per cell{picture}")
+
+
+def _balance_line(balance: Balance) -> str:
+    """Return how the expected load is shared among the ranks."""
+    text = f"{balance.imbalance:.2f} expected (largest over mean active cell-steps of the ranks)"
+    if balance.weighted:
+        return text + f", with ranges weighted by the expected deposit; {balance.even:.2f} with even ones"
+    return text + ", with even ranges"
 
 
 def run(scene: Scene, out: str) -> int:

@@ -82,21 +82,20 @@ def _speed(scene: Scene) -> str:
     return f"{pretty(high, 'speed')}" if low == high else f"{low:.1f} to {high:.1f} m/s over x, by the speed law"
 
 
-def _parts(cells_per_rank: Sequence[tuple[int, int, int]], bytes_per_cell: float) -> list[tuple[str, str]]:
+def _parts(cells_per_rank: Sequence[tuple[int, int, int]]) -> list[tuple[str, str]]:
     counts = [math.prod(cells) for cells in cells_per_rank]
     small, large = min(cells_per_rank, key=math.prod), max(cells_per_rank, key=math.prod)
     spread = _grid(small) if small == large else f"{_grid(small)} to {_grid(large)}"
-    most, all_ranks = pretty_bytes(max(counts) * bytes_per_cell), pretty_bytes(sum(counts) * bytes_per_cell)
-    return [("cells per rank", f"{spread}  ({min(counts):,} to {max(counts):,})"),
-            ("memory", f"{most} on the largest rank, {all_ranks} in all")]
+    return [("cells per rank", f"{spread}  ({min(counts):,} to {max(counts):,})")]
 
 
-def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]], bytes_per_cell: float,
-             painted_volume: float | None = None, particles: int | None = None) -> str:
+def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]],
+             painted_volume: float | None = None, particles: int | None = None,
+             more: Sequence[tuple[str, str]] = ()) -> str:
     """Return the text of ``f2s check``: the resolved scene, then sizes, time step and output.
 
-    ``cells_per_rank`` are the cells (x, y, z) owned by each rank, ``bytes_per_cell`` the memory of the
-    arrays. ``painted_volume`` (m3) and ``particles`` of the whole run are printed where known.
+    ``cells_per_rank`` are the cells (x, y, z) owned by each rank. ``painted_volume`` (m3) and ``particles`` of the
+    whole run are printed where known; ``more``: further lines, each a name and a text.
     """
     step = estimated_time_step(scene)
     total = scene.cycles.total_time
@@ -107,7 +106,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("box", box),
         ("cells", f"{_grid(scene.domain.cells)} = {cells:,} of {pretty(scene.domain.cell_size, 'length')}"),
         ("ranks", f"{ranks}"),
-        *_parts(cells_per_rank, bytes_per_cell),
+        *_parts(cells_per_rank),
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("speed", _speed(scene)),
         ("cycles", f"{_count(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
@@ -118,6 +117,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
                     f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression")),
         ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
          if scene.output.checkpoints else "none"),
+        *more,
         ("configuration", f"sha256 {scene_hash(scene)[:16]}"),
     ]
     width = max(len(name) for name, _ in rows) + 2

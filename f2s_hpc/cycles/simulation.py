@@ -22,6 +22,7 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import Batch, BatchPlan, join
 from f2s_hpc.solver.step import Clock, advance
+from f2s_hpc.workload.balance import balance_of_run
 
 RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
 
@@ -38,7 +39,8 @@ class Simulation:
         self.folder = RunFolder(folder, scene)
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
-        self.state = build_state(scene)
+        self.balance = balance_of_run(scene, self.plan)
+        self.state = build_state(scene, self.balance.ranges)
         self.ledger = build_ledger(self.model)
         self.clock = Clock()
         self.cycle = 0
@@ -52,6 +54,7 @@ class Simulation:
         self.next_frame_time = scene.output.frame_interval or np.inf
         self.substrate_quanta = 0
         self.active_before = 0
+        self.active_at_start_of_cycle = 0
         self.progress = Progress(False, 1.0, 0.0, 1.0)
         self.status = RUNNING
 
@@ -86,6 +89,7 @@ class Simulation:
         self.ledger.restore({name: int(text) for name, text in saved["ledger"].items()})
         if not mpi.is_root():
             clock.active_cell_steps = 0
+        self.active_at_start_of_cycle = clock.active_cell_steps
         self.cycle, self.batch_is_in = saved["cycle"], saved["batch_is_in"]
         self.particles, self.moved = saved["particles"], saved["moved"]
         self.waiting = Batch(*(np.array(a, dtype=float) for a in saved["waiting"]))
@@ -213,6 +217,7 @@ class Simulation:
         self.rows.append(row)
         self.cycle += 1
         self.batch_is_in = False
+        self.active_at_start_of_cycle = clock.active_cell_steps
         output = self.scene.output
         if output.frames == "cycle":
             self._frame()
@@ -248,9 +253,11 @@ class Simulation:
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
         active = int(mpi.total(np.int64(clock.active_cell_steps)))
         wall = float(mpi.broadcast(self.stop.elapsed()))
+        loads = mpi.all_gather(clock.active_cell_steps - self.active_at_start_of_cycle)
         row |= {
             "speed_max_heavy_m_s": float(mpi.maximum(clock.fastest_heavy)),
             "active_cells": int(mpi.total(np.int64(self.state.active_cells()))), "active_cell_steps": active,
+            "imbalance": max(loads) * len(loads) / max(sum(loads), 1),
             "wall_s": wall, "active_cell_steps_per_s": (active - self.active_before) / max(wall, 1e-9),
             "peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
         return row
@@ -258,6 +265,8 @@ class Simulation:
     def summary(self) -> dict:
         """Return ``summary.json``: the last row of the cycle table, or the present state, and the run as a whole."""
         row = self.rows[-1] if self.rows and not self.batch_is_in else self._row()
+        memory = mpi.all_gather(measure.peak_memory())  # the frame after the last row may have been the largest
+        row = row | {"peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}

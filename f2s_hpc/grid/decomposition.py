@@ -47,9 +47,49 @@ def process_grid(box: Box, ranks: int) -> tuple[int, int, int]:
     return best[1]
 
 
-def _ranges(cells: int, parts: int) -> list[int]:
+Ranges = tuple[list[int], list[int], list[int]]
+"""Cells along x, y, z that each rank of a process grid owns."""
+
+
+def _even(cells: int, parts: int) -> list[int]:
     share, extra = divmod(cells, parts)
     return [share + (p < extra) for p in range(parts)]
+
+
+def _weighted(weights: np.ndarray, parts: int) -> list[int]:
+    """Return ranges of about equal sums of ``weights`` (one per cell, >= 0), none thinner than the ghosts."""
+    cells = weights.size
+    total = np.cumsum(weights)
+    if parts == 1 or not total[-1] > 0.0:
+        return _even(cells, parts)
+    ends = np.empty(parts + 1, dtype=np.int64)
+    ends[0], ends[-1] = 0, cells
+    for part in range(1, parts):
+        wanted = total[-1] * part / parts
+        above = int(np.searchsorted(total, wanted))
+        # the cell that holds the cut goes to the side that comes nearer
+        below = total[above - 1] if above else 0.0
+        ends[part] = above + (total[above] - wanted < wanted - below)
+    for part in range(1, parts):
+        ends[part] = max(ends[part], ends[part - 1] + GHOST)
+    for part in range(parts - 1, 0, -1):
+        ends[part] = min(ends[part], ends[part + 1] - GHOST)
+    return np.diff(ends).tolist()
+
+
+def ownership_ranges(box: Box, grid: tuple[int, int, int],
+                     weights: tuple[np.ndarray, np.ndarray] | None = None) -> Ranges:
+    """Return the cells along x, y, z that each rank of ``grid`` owns: even, or by ``weights``; allocates nothing.
+
+    ``weights``: expected load of each plane of cells normal to x and to y (any unit). z is always cut evenly.
+    Raises ``InputError`` where a slab would be thinner than the ghosts.
+    """
+    if any(p > 1 and n // p < GHOST for n, p in zip(box.cells, grid)):
+        raise InputError(f"process grid {grid} leaves a slab thinner than {GHOST} cells")
+    if weights is None:
+        return tuple(_even(n, p) for n, p in zip(box.cells, grid))
+    return (_weighted(np.asarray(weights[0]), grid[0]), _weighted(np.asarray(weights[1]), grid[1]),
+            _even(box.cells[2], grid[2]))
 
 
 @dataclass(frozen=True)
@@ -79,12 +119,16 @@ class GhostMap:
 
 
 class Decomposition:
-    """The distributed box: this rank's :class:`Part` and the ghost maps of cells and nodes."""
+    """The distributed box: this rank's :class:`Part` and the ghost maps of cells and nodes.
 
-    def __init__(self, box: Box, grid: tuple[int, int, int] | None = None) -> None:
+    ``ranges``: what each rank owns, the same on all ranks; even ranges if not given. Raises ``InputError`` on all
+    ranks where a slab is thinner than the ghosts.
+    """
+
+    def __init__(self, box: Box, grid: tuple[int, int, int] | None = None, ranges: Ranges | None = None) -> None:
         self.box = box
-        self.grid = grid or process_grid(box, mpi.size())
-        cell_ranges = [_ranges(n, p) for n, p in zip(box.cells, self.grid)]
+        self.grid = tuple(map(len, ranges)) if ranges else grid or process_grid(box, mpi.size())
+        cell_ranges = ranges or ownership_ranges(box, self.grid)
         if any(len(r) > 1 and min(r) < GHOST for r in cell_ranges):
             raise InputError(f"process grid {self.grid} leaves a slab thinner than {GHOST} cells")
         node_ranges = [r[:-1] + [r[-1] + 1] for r in cell_ranges]

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import cumulative_trapezoid, quad
-from scipy.optimize import least_squares
 
 from f2s_hpc.errors import InputError
 
@@ -62,6 +60,9 @@ class RosinRammler:
             sizes = ", ".join(f"{1e6 * value:g}" for value in (minimum, d10, d50, d90, maximum))
             raise InputError("particle sizes: diameter_min < diameter_d10 < diameter_d50 < diameter_d90 < diameter_max "
                              f"is needed, not {sizes} um")
+        # scipy takes a quarter of a second to load: only who generates particles pays
+        from scipy.optimize import least_squares
+
         wanted = np.log([d10, d50, d90])
 
         def deviation(parameters: np.ndarray) -> np.ndarray:
@@ -92,6 +93,8 @@ class RosinRammler:
         V = pi/6 / E[d^-3], the mean E over the volume distribution, because its number density is that density over
         d^3. Integrated over t = (d / scale)^exponent, in which the volume density is exp(-t).
         """
+        from scipy.integrate import quad  # (loading scipy costs a third of a start)
+
         start, end = self._exponents_at_ends()
         power = -3.0 / self.exponent
         above, _ = quad(lambda t: t**power * np.exp(start - t), start, end, epsabs=0.0, epsrel=1e-12, limit=200)
@@ -103,6 +106,8 @@ class RosinRammler:
         The number density is the volume density over d^3, so that the drawn particles' volume follows
         this distribution; inverse of the cumulative number on a fine table in log(d).
         """
+        from scipy.integrate import cumulative_trapezoid
+
         d = np.geomspace(self.minimum, self.maximum, TABLE_POINTS)
         power = (d / self.scale) ** self.exponent
         number_per_log_d = power * np.exp(power[0] - power) / d**3

@@ -55,8 +55,8 @@ class Handover:
 
 def memory_needed(scene: Scene) -> float:
     """Return the memory (bytes) that the check takes: the whole state of the solver."""
-    return math.prod(scene.domain.cells) * fields.bytes_per_cell(scene.mie_grueneisen, scene.numerics.loss_heating,
-                                                                 scene.output.origin)
+    allocated = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    return 8.0 * math.prod(scene.domain.cells) * len(allocated)
 
 
 def check_handover(folder: str | os.PathLike, cycle: int | None = None) -> Handover | None:

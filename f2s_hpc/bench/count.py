@@ -1,0 +1,33 @@
+"""The counting process: one step of a saved patch in plain Python, its tallies as JSON on standard output.
+
+    NUMBA_DISABLE_JIT=1 python -m f2s_hpc.bench.count PATCH.npz
+
+A process of its own, since numba is switched off for good when it is first imported.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+
+import numpy as np
+
+from f2s_hpc.bench import counting, states
+from f2s_hpc.bench.hook import hooked
+
+
+def count(path: str) -> dict[str, dict]:
+    """Return, per kernel, the tally of one step of the patch in the file ``path``."""
+    with np.load(path) as file:
+        saved = {name: file[name] for name in file.files}
+    setup = states.tiled(saved, states.model_of(), (1, 1))
+    counting.stand_in_for_libraries()
+    counter = counting.Counter(setup.state.pool.memory, setup.state.active_cells())
+    with hooked(counter.wrap), np.errstate(all="ignore"):
+        setup.advance(1)
+    return {name: asdict(tally) for name, tally in counter.tallies.items()} | {"active": counter.active}
+
+
+if __name__ == "__main__":
+    print(json.dumps(count(sys.argv[1])))

@@ -1,0 +1,210 @@
+"""Speed of each kernel and of the whole step against what the machine can do (roofline), per state and size."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc._jit import cache_directory
+from f2s_hpc.bench import states
+from f2s_hpc.bench.hook import Stopwatches, hooked
+from f2s_hpc.bench.machine import multiply_add_peak, triad_bandwidth
+from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.verify.box import Setup
+
+WHOLE_STEP, PYTHON = "whole step", "Python between kernels"
+SIZES = {"S": (1, 1), "M": (2, 2), "L": (4, 4), "XL": (8, 8)}
+"""Mirror images (x, y) of the patch of 16 x 16 x 32 cells: 1.7 to 109 MB of fields."""
+
+_OF_A_RANK = ("OMPI_COMM", "OMPI_UNIVERSE", "PMI", "SLURM_")
+
+STEPS = 12
+"""Steps measured at least: each of the six orders of the sweeps twice. A kernel's figure is its least step."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One kernel, or the whole step, in one state at one size; per active cell and step of one core.
+
+    ``roofline``: the time that bandwidth or peak allow over the time taken, None where no traffic was counted.
+    """
+
+    state: str
+    size: str
+    ranks: int
+    active_cells: int
+    field_bytes: int
+    kernel: str
+    calls: int
+    nanoseconds: float
+    million_cell_steps_per_s: float
+    bytes: float | None = None
+    operations: float | None = None
+    gigabytes_per_s: float | None = None
+    gigaflops: float | None = None
+    roofline: float | None = None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Measured limits of one core (of the slowest rank, all ranks measuring at once)."""
+
+    bandwidth: float  # bytes/s, triad
+    peak: float  # operations/s, fused multiply-adds
+
+
+def measure_machine() -> Machine:
+    """Return the limits of one core. Collective."""
+    mpi.barrier()
+    bandwidth = float(mpi.minimum(triad_bandwidth()))
+    mpi.barrier()
+    return Machine(bandwidth, float(mpi.minimum(multiply_add_peak())))
+
+
+def count_work(name: str, saved: dict[str, np.ndarray]) -> dict[str, dict]:
+    """Return the tallies of a step of the saved patch, counted in a process of its own or read from the cache.
+
+    Rank 0 counts. The cache lies beside the compiled kernels, in a folder named by the hash of their sources.
+    """
+    def count() -> dict[str, dict]:
+        cached = pathlib.Path(cache_directory()) / f"work-{name}.json"
+        if cached.exists():
+            return json.loads(cached.read_text(encoding="utf-8"))
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "patch.npz"
+            np.savez(path, **saved)
+            # a process started by a process of mpirun must not take itself for one of its ranks
+            alone = {n: v for n, v in os.environ.items() if not n.startswith(_OF_A_RANK)}
+            done = subprocess.run([sys.executable, "-m", "f2s_hpc.bench.count", str(path)], capture_output=True,
+                                  text=True, env=alone | {"NUMBA_DISABLE_JIT": "1"}, check=False)
+        if done.returncode:
+            raise F2SError(f"counting the operations of a step failed: {done.stderr.strip().splitlines()[-1]}")
+        cached.parent.mkdir(parents=True, exist_ok=True)
+        cached.write_text(done.stdout, encoding="utf-8")
+        return json.loads(done.stdout)
+
+    return mpi.run_together(count)
+
+
+def time_steps(setup: Setup, least_seconds: float = 1.0) -> tuple[dict[str, float], dict[str, int], float, int]:
+    """Return least seconds and calls per kernel and step, least seconds of the whole step, and mean active cells.
+
+    Seconds are CPU time of the slowest rank. Takes at least ``STEPS`` steps and ``least_seconds``. Collective.
+    """
+    watches = Stopwatches()
+    least: dict[str, float] = {}
+    calls: dict[str, int] = {}
+    whole, steps, spent = np.inf, 0, 0.0
+    before = setup.clock.active_cell_steps
+    with hooked(watches.wrap):
+        setup.advance(1)
+        watches.read()
+        while steps < STEPS or spent < least_seconds:
+            mpi.barrier()
+            start = time.thread_time()
+            setup.advance(1)
+            one = float(mpi.maximum(time.thread_time() - start))
+            seconds, calls = watches.read()
+            for name, value in seconds.items():
+                least[name] = min(least.get(name, np.inf), value)
+            whole, steps, spent = min(whole, one), steps + 1, spent + one
+    active = round(int(mpi.total(np.int64(setup.clock.active_cell_steps - before))) / (steps + 1))
+    return least, calls, whole, active
+
+
+def rows_of(state: str, size: str, setup: Setup, work: dict[str, dict] | None, machine: Machine) -> list[Row]:
+    """Return the rows of one state at one size, the whole step first, then the kernels by their time. Collective."""
+    least, calls, whole, active = time_steps(setup)
+    field_bytes = sum(mpi.all_gather(setup.state.pool.memory.nbytes))
+    share = active / mpi.size()
+    rows, total_bytes, total_operations = [], 0.0, 0.0
+
+    def row(name: str, number: int, seconds: float, traffic: float | None, operations: float | None) -> Row:
+        cost = seconds / share
+        limits = (state, size, mpi.size(), active, field_bytes, name, number, 1e9 * cost, 1e-6 / cost if cost else 0.0)
+        if traffic is None or cost == 0.0:
+            return Row(*limits)
+        roof = max(traffic / machine.bandwidth, operations / machine.peak)
+        return Row(*limits, traffic, operations, 1e-9 * traffic / cost, 1e-9 * operations / cost, roof / cost)
+
+    for name in sorted(least, key=lambda n: -least[n]):
+        tally = (work or {}).get(name)
+        if tally is None or not tally["bulk"]:
+            rows.append(row(name, calls[name], least[name], None, None))
+            continue
+        visits = tally["calls"] / tally["cells"]
+        traffic, operations = tally["bytes"] * visits, tally["operations"] * visits
+        total_bytes, total_operations = total_bytes + traffic, total_operations + operations
+        rows.append(row(name, calls[name], least[name], traffic, operations))
+    rows.append(row(PYTHON, 1, max(whole - sum(least.values()), 0.0), None, None))
+    counted = (total_bytes, total_operations) if work else (None, None)
+    return [row(WHOLE_STEP, 1, whole, *counted), *rows]
+
+
+def run(names: Sequence[str], sizes: Sequence[str], counted: bool = True, say=print) -> tuple[Machine, list[Row]]:
+    """Measure the chosen states at the chosen sizes, printing a table each. Collective; raises ``InputError``."""
+    for chosen, known, what in ((names, states.STATES, "state"), (sizes, SIZES, "size")):
+        for name in chosen:
+            if name not in known:
+                raise InputError(f"no {what} {name!r}; there are {', '.join(known)}")
+    machine = measure_machine()
+    say(f"one core of {mpi.size()} at work: triad {1e-9 * machine.bandwidth:.1f} GB/s (3 x 96 MB, 32 bytes per "
+        f"element), fused multiply-adds {1e-9 * machine.peak:.1f} GF/s")
+    rows: list[Row] = []
+    model = states.model_of()
+    for name in names:
+        saved = states.save(states.STATES[name](model))
+        work = count_work(name, saved) if counted else None
+        for size in sizes:
+            found = rows_of(name, size, states.tiled(saved, model, SIZES[size]), work, machine)
+            rows.extend(found)
+            say(table(found))
+    say(overview([row for row in rows if row.kernel == WHOLE_STEP]))
+    return machine, rows
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows of one state and size as a table."""
+    first = rows[0]
+    title = (f"\n{first.state}, size {first.size}: {first.active_cells:,} active cells, "
+             f"{1e-6 * first.field_bytes:.1f} MB of fields, {first.ranks} rank{'s' if first.ranks > 1 else ''}")
+    head = (f"{'per active cell-step and core':30s} {'calls':>5} {'ns':>8} {'M/s':>8} {'bytes':>7} {'flops':>7} "
+            f"{'GB/s':>6} {'GF/s':>6} {'roofline':>8}")
+    lines = [title, head]
+    lines += [f"{r.kernel:30s} {r.calls:5d} {r.nanoseconds:8.2f} {r.million_cell_steps_per_s:8.2f} "
+              f"{_number(r.bytes, '.0f'):>7} {_number(r.operations, '.0f'):>7} {_number(r.gigabytes_per_s, '.1f'):>6} "
+              f"{_number(r.gigaflops, '.1f'):>6} {_number(r.roofline, '.1%'):>8}" for r in rows]
+    return "\n".join(lines)
+
+
+def overview(rows: Sequence[Row]) -> str:
+    """Return the whole steps of all states and sizes as one table."""
+    head = (f"\n{'whole step':10s} {'size':>4} {'active cells':>13} {'fields MB':>10} {'M cell-steps/s/core':>20} "
+            f"{'roofline':>9}")
+    lines = [head]
+    lines += [f"{r.state:10s} {r.size:>4} {r.active_cells:13,} {1e-6 * r.field_bytes:10.1f} "
+              f"{r.million_cell_steps_per_s:20.3f} {_number(r.roofline, '.1%'):>9}" for r in rows]
+    return "\n".join(lines)
+
+
+def write_json(path: str | os.PathLike, machine: Machine, rows: Sequence[Row]) -> None:
+    """Write machine and rows as one JSON file; raises ``InputError`` if the place cannot be written."""
+    record = {"machine": asdict(machine), "ranks": mpi.size(), "rows": [asdict(row) for row in rows]}
+    try:
+        pathlib.Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,86 @@
+"""Which blocks of cells will be active: the rule of :mod:`f2s_hpc.kernels.activity`, without any field allocated.
+
+``blocks``: uint8 [k, j, block] of the whole box, rows cut into blocks of ``block`` cells as one rank cuts them.
+"""
+
+from __future__ import annotations
+
+import math
+
+from f2s_hpc._jit import kernel
+
+
+@kernel
+def mark_row(blocks, k, j, first, last, ghosts, block, cells):
+    """Mark what material in cells ``first`` to ``last`` of the row (k, j) makes active: one cell below, two above."""
+    nz, ny, _ = blocks.shape
+    b0 = (max(first - 1, 0) + ghosts) // block
+    b1 = (min(last + 2, cells - 1) + ghosts) // block
+    for kk in range(max(k - 1, 0), min(k + 3, nz)):
+        for jj in range(max(j - 1, 0), min(j + 3, ny)):
+            for b in range(b0, b1 + 1):
+                blocks[kk, jj, b] = 1
+
+
+@kernel
+def mark_spheres(blocks, x, y, z, r, flying, ghosts, block, cells):
+    """Mark the blocks of the flying spheres (cell units, z from the bottom of the box)."""
+    nz, ny, _ = blocks.shape
+    for s in range(x.size):
+        if not flying[s]:
+            continue
+        for k in range(max(0, int(math.floor(z[s] - r[s]))), min(nz, int(math.floor(z[s] + r[s])) + 1)):
+            dz = max(k - z[s], z[s] - k - 1.0, 0.0)
+            for j in range(max(0, int(math.floor(y[s] - r[s]))), min(ny, int(math.floor(y[s] + r[s])) + 1)):
+                dy = max(j - y[s], y[s] - j - 1.0, 0.0)
+                left = r[s] * r[s] - dy * dy - dz * dz
+                if left <= 0.0:
+                    continue
+                half = math.sqrt(left)
+                first, last = max(int(math.floor(x[s] - half)), 0), min(int(math.floor(x[s] + half)), cells - 1)
+                if last >= first:
+                    mark_row(blocks, k, j, first, last, ghosts, block, cells)
+
+
+@kernel
+def mark_solid(blocks, height, ghosts, block):
+    """Mark the blocks below the surface ``height`` (cells, [j, i])."""
+    nz, ny, _ = blocks.shape
+    cells = height.shape[1]
+    for j in range(ny):
+        for i in range(cells):
+            top = min(int(math.ceil(height[j, i])), nz)
+            for jj in range(max(j - 1, 0), min(j + 3, ny)):
+                for b in range((max(i - 1, 0) + ghosts) // block, (min(i + 2, cells - 1) + ghosts) // block + 1):
+                    for k in range(min(top + 2, nz) - 1, -1, -1):
+                        # what is marked here has marked everything below it
+                        if top > 0 and blocks[k, jj, b] == 0:
+                            blocks[k, jj, b] = 1
+                        else:
+                            break
+
+
+@kernel
+def land(height, x, y, z, r, flying, spread):
+    """Let the spheres whose lowest point is at or below the surface become part of it; return how many did.
+
+    A landed sphere raises the surface ``height`` (cells, [j, i]) under a disc ``spread`` times as wide as itself by its
+    volume; what lies beyond the box is its mirror image, as the sides are. Spheres must come in rising order of z.
+    """
+    ny, nx = height.shape
+    landed = 0
+    for s in range(x.size):
+        if not flying[s]:
+            continue
+        i, j = min(max(int(x[s]), 0), nx - 1), min(max(int(y[s]), 0), ny - 1)
+        if z[s] - r[s] > height[j, i]:
+            continue
+        flying[s] = False
+        landed += 1
+        wide = max(spread * r[s], 1.0)
+        raised = 4.0 / 3.0 * math.pi * r[s] ** 3 / (math.pi * wide * wide)
+        for b in range(int(math.floor(y[s] - wide)), int(math.floor(y[s] + wide)) + 1):
+            for a in range(int(math.floor(x[s] - wide)), int(math.floor(x[s] + wide)) + 1):
+                if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide and 0 <= a < nx and 0 <= b < ny:
+                    height[b, a] += raised
+    return landed

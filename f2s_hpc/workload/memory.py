@@ -1,0 +1,85 @@
+"""Memory of a rank, predicted: the interpreter with its libraries, and what grows with the cells.
+
+    baseline + fields (cells with ghosts) + temporaries per cell + maps per ghost that another rank owns
+
+The three constants are measured (tests/test_memory.py holds them against real runs). All of a box counts as touched:
+particles pass through all of it in a run.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from f2s_hpc import fields
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.grid.box import GHOST, Box, Part
+from f2s_hpc.grid.decomposition import Ranges
+
+BASELINE = 252 * 2**20
+"""Interpreter, numpy, numba with all compiled kernels, PETSc, MPI and HDF5, before any field is allocated (bytes)."""
+
+TEMPORARY = 26
+"""Per local cell: arrays made while a batch is painted, a cycle is measured or a frame is written (bytes)."""
+
+MAP = 33
+"""Per ghost of another rank and exchanged field: indices of the star forests here and there, and buffers (bytes)."""
+
+PICTURE = 50 * 2**20
+"""More on rank 0 at the very end, while matplotlib draws the picture (bytes)."""
+
+
+@dataclass(frozen=True)
+class RankMemory:
+    """Memory of a rank (bytes): ``baseline`` that every process takes, and what ``arrays`` and ``maps`` add."""
+
+    baseline: int
+    arrays: int
+    maps: int
+    cells: int
+
+    @property
+    def total(self) -> int:
+        """All of it."""
+        return self.baseline + self.arrays + self.maps
+
+    @property
+    def per_cell(self) -> float:
+        """Bytes per owned cell above the baseline."""
+        return (self.arrays + self.maps) / self.cells
+
+
+def of_fields(scene: Scene, part: Part) -> int:
+    """Return the bytes of all fields of a rank, ghosts included."""
+    needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    cells, nodes = math.prod(part.cell_shape), math.prod(part.node_shape)
+    return 8 * sum(nodes if f.location == fields.NODE else cells for f in needed)
+
+
+def _mapped(scene: Scene, neighbours: tuple[int, int, int], count: tuple[int, int, int]) -> int:
+    """Return ghosts of other ranks times exchanged fields, for a rank with so many neighbours along x, y, z."""
+    ghosts = math.prod(n + GHOST * m for n, m in zip(count, neighbours)) - math.prod(count)
+    needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    # one map each for the velocity, for the cell fields that move, and for all that has ghosts
+    moving = sum(f.advected and f.location == fields.CELL for f in needed) - 1
+    return ghosts * (len(fields.VELOCITY) + moving + sum(f.ghosted for f in needed))
+
+
+def of_ranks(scene: Scene, ranges: Ranges) -> list[RankMemory]:
+    """Return the memory of each kind of rank: one for each size and number of neighbours in ``ranges``."""
+    box = Box(scene.domain.cells, scene.domain.cell_size)
+    kinds = [sorted({(n, (p > 0) + (p < len(counts) - 1)) for p, n in enumerate(counts)}) for counts in ranges]
+    found = []
+    for x in kinds[0]:
+        for y in kinds[1]:
+            for z in kinds[2]:
+                count, neighbours = zip(x, y, z)
+                part = Part(box, (0, 0, 0), count)
+                arrays = of_fields(scene, part) + TEMPORARY * math.prod(part.cell_shape)
+                found.append(RankMemory(BASELINE, arrays, MAP * _mapped(scene, neighbours, count), math.prod(count)))
+    return found
+
+
+def of_fullest(scene: Scene, ranges: Ranges) -> RankMemory:
+    """Return the memory of the rank that needs most."""
+    return max(of_ranks(scene, ranges), key=lambda rank: rank.total)

@@ -1,0 +1,166 @@
+"""What a run will take on any number of ranks: a model of the step fed with measured rates and the expected load.
+
+Time of a step on a rank (s), with N active cells owned and G active ghost cells, of which some hold flying particles:
+
+    per_step + sum over kinds of per_cell[kind] (N[kind] + ghost_share G[kind]) + messages
+
+    messages = exchanges x neighbours x latency + bytes (1 / bandwidth + 1 / packing)
+               + 2 log2(ranks) latency per reduction (Hockney's model; Thakur et al. 2005 for the reduction)
+
+The step ends when the slowest rank ends. Rates are measured on this machine (:mod:`f2s_hpc.bench.rates`), latency and
+bandwidth are given; ranks that share a memory bus or a network link are not modelled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from f2s_hpc.config.describe import estimated_time_step
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.grid.box import GHOST
+from f2s_hpc.grid.decomposition import Ranges
+from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.workload import memory
+from f2s_hpc.workload.balance import balanced
+from f2s_hpc.workload.expected import SAMPLES, Moment, moments, part_cells, summed_load
+
+SOLID, FLYING = "solid", "flying"
+
+LATENCY, BANDWIDTH = 2e-6, 5e9
+"""Network figures (s; bytes/s of each rank) taken where none are given: a message between two nodes of a common cluster
+network takes 1 to 2 us, and a link of 25 GB/s is shared by the ranks of a node that send at once."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Measured costs of the step on one core (seconds, bytes/s).
+
+    ``exchanges``: how many cell and node fields each ghost exchange of a step carries; ``reductions``: of a step;
+    ``sizes``: by which factor a step on so many active cells, ghosts included, is slower than the model says (caches).
+    """
+
+    per_step: float
+    per_cell: dict[str, float]
+    ghost_share: float
+    packing: float
+    exchanges: tuple[tuple[int, int], ...]
+    reductions: int = 1
+    where: str = ""
+    sizes: tuple[tuple[int, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Network:
+    """Latency of a message (s) and bandwidth (bytes/s) of a rank."""
+
+    latency: float = LATENCY
+    bandwidth: float = BANDWIDTH
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A run on ``ranks`` ranks: times in s, memory in bytes of the fullest rank, efficiency against one rank."""
+
+    ranks: int
+    grid: tuple[int, int, int]
+    cells_per_rank: int
+    active_cells: float
+    steps: int
+    step_s: float
+    total_s: float
+    messages_s: float
+    memory: int
+    message_bytes: int
+    imbalance: float
+    efficiency: float
+
+    def row(self) -> dict:
+        """Return the prediction as a dictionary."""
+        return asdict(self)
+
+
+def _parts(scene: Scene, ranges: Ranges) -> tuple[np.ndarray, np.ndarray]:
+    """Return, for each rank [z, y, x], the ghost cells it gets from others and how many neighbours send them."""
+    volumes, shares = 1, 1
+    neighbours = 1
+    for axis in (2, 1, 0):
+        counts = np.array(ranges[axis])
+        low, high = np.arange(counts.size) > 0, np.arange(counts.size) < counts.size - 1
+        wide = counts + GHOST * (low.astype(int) + high)
+        volumes = np.multiply.outer(volumes, wide)
+        shares = np.multiply.outer(shares, counts)
+        neighbours = np.multiply.outer(neighbours, 1 + low.astype(int) + high)
+    return volumes - shares, neighbours - 1
+
+
+def message_seconds(scene: Scene, ranges: Ranges, rates: Rates, network: Network) -> tuple[np.ndarray, np.ndarray]:
+    """Return seconds and bytes that the messages of a step cost each rank, [z, y, x] of the process grid."""
+    ghosts, neighbours = _parts(scene, ranges)
+    fields = sum(cells + nodes for cells, nodes in rates.exchanges)
+    sent = 8 * ghosts * fields
+    reductions = rates.reductions * 2.0 * math.log2(max(neighbours.size, 1)) * network.latency
+    seconds = (len(rates.exchanges) * neighbours * network.latency + reductions
+               + sent * (1.0 / network.bandwidth + 1.0 / rates.packing))
+    return seconds, sent
+
+
+def busy_seconds(moment: Moment, cells: int, ranges: Ranges, rates: Rates) -> np.ndarray:
+    """Return the seconds that each rank computes in a step at a moment, [z, y, x] of the process grid."""
+    busy = np.full(tuple(len(r) for r in ranges[::-1]), rates.per_step)
+    visited = 0
+    for kind, blocks in ((SOLID, moment.solid), (FLYING, moment.blocks & ~moment.solid & 1)):
+        owned = part_cells(blocks, cells, ranges, 0)
+        local = part_cells(blocks, cells, ranges, GHOST)
+        busy = busy + rates.per_cell[kind] * (owned + rates.ghost_share * (local - owned))
+        visited = visited + local
+    if rates.sizes:
+        cells_there, factors = zip(*rates.sizes)
+        busy = busy * np.interp(np.log(np.maximum(visited, 1)), np.log(cells_there), factors)
+    return busy
+
+
+def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, network: Network,
+            samples: int = SAMPLES) -> list[Prediction]:
+    """Return a prediction for each number of ranks. Raises ``InputError`` if the box can not be cut for one of them."""
+    history = list(moments(scene, plan, samples))
+    load = summed_load(history, scene.domain.cells[0])
+    balances = {count: balanced(scene, plan, count, load) for count in dict.fromkeys((1, *ranks))}
+    steps = math.ceil(scene.cycles.total_time / estimated_time_step(scene))
+    active = float(load.sum())
+    found: dict[int, Prediction] = {}
+    for count, balance in balances.items():
+        seconds, sent = message_seconds(scene, balance.ranges, rates, network)
+        busy = [busy_seconds(moment, scene.domain.cells[0], balance.ranges, rates) for moment in history]
+        weights = np.array([moment.weight for moment in history])
+        step = float(sum(w * (b + seconds).max() for w, b in zip(weights, busy)))
+        mean = sum(w * b for w, b in zip(weights, busy))
+        largest = tuple(max(r) for r in balance.ranges)
+        alone = found[1].total_s if found else step * steps
+        found[count] = Prediction(
+            count, tuple(map(len, balance.ranges)), math.prod(largest), active, steps, step, step * steps,
+            float(seconds.max()) if count > 1 else 0.0,
+            memory.of_fullest(scene, balance.ranges).total,
+            int(sent.max()), float(mean.max() / mean.mean()), alone / (count * step * steps))
+    return [found[count] for count in ranks]
+
+
+def table(predictions: Sequence[Prediction]) -> str:
+    """Return the predictions as a table."""
+    lines = [(f"{'ranks':>6} {'grid':>10} {'cells/rank':>11} {'ms/step':>9} {'messages':>9} {'total':>10} "
+              f"{'MiB/rank':>9} {'KiB/step':>9} {'imbalance':>10} {'efficiency':>11}")]
+    lines += [(f"{p.ranks:6d} {' x '.join(map(str, p.grid)).replace(' ', ''):>10} {p.cells_per_rank:11,} "
+               f"{1e3 * p.step_s:9.2f} {p.messages_s / p.step_s:9.1%} {_duration(p.total_s):>10} "
+               f"{p.memory / 2**20:9.0f} {p.message_bytes / 2**10:9.0f} {p.imbalance:10.2f} {p.efficiency:11.1%}")
+              for p in predictions]
+    return "\n".join(lines)
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.1f} {unit}"
+    return f"{seconds:.1f} s"

@@ -1,0 +1,75 @@
+#!/usr/bin/env python
+"""Strong and weak scaling of real runs: table, CSV, JSON and a plot of the efficiency.
+
+    . scripts/env.sh
+    python scripts/scaling.py                                  1, 2, 4, ... ranks up to the cores, a patch of section4
+    python scripts/scaling.py --ranks 1,2,4 --kind strong --scene section4 --set domain.cell_size="6 um"
+    python scripts/scaling.py --launcher "srun --mpi=pmix -n" --ranks 32,64,128 --out runs/scaling
+
+Each run is one short cycle without output. Times are per step, the mean of the middle half of the steps: by the clock,
+and the computing alone of the busiest rank, which tells the solver from the network (and from other users).
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pathlib
+import sys
+
+from f2s_hpc.bench import scaling
+from f2s_hpc.errors import F2SError, InputError
+
+PATCH = ['domain.size=["0.192 mm", "0.192 mm", "0.6 mm"]', "domain.cell_size=6 um", "batches.count=1",
+         "batches.particles=150"]
+
+
+def _arguments(words: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", choices=("strong", "weak", "both"), default="both")
+    parser.add_argument("--ranks", metavar="N[,N..]", help="default: 1, 2, 4, ... up to the cores")
+    parser.add_argument("--scene", help="default: section4 on a patch of 0.192 x 0.192 mm at 6 um")
+    parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[])
+    parser.add_argument("--duration", default="20 ns", help="simulated time of each run (20 ns, some 35 steps at 6 um)")
+    parser.add_argument("--out", default="runs/scaling", help="new folder")
+    parser.add_argument("--launcher", default="mpirun -n", help='what starts ranks ("mpirun -n")')
+    parser.add_argument("--dry-run", action="store_true", help="print the commands only")
+    return parser.parse_args(words)
+
+
+def _ranks(text: str | None) -> list[int]:
+    if text is None:
+        return scaling.rank_list(len(os.sched_getaffinity(0)))
+    try:
+        ranks = [int(part) for part in text.replace(" ", ",").split(",") if part]
+    except ValueError:
+        ranks = []
+    if not ranks or min(ranks) < 1:
+        raise InputError(f"--ranks {text}: whole numbers from 1, separated by commas, are needed")
+    return ranks
+
+
+def main(words: list[str]) -> int:
+    """Run the studies, print and write; return the exit code."""
+    chosen = _arguments(words)
+    try:
+        ranks, out = _ranks(chosen.ranks), pathlib.Path(chosen.out)
+        scene, overrides = chosen.scene or "section4", [*([] if chosen.scene else PATCH), *chosen.overrides]
+        kinds = ("strong", "weak") if chosen.kind == "both" else (chosen.kind,)
+        if chosen.dry_run:
+            for kind in kinds:
+                for line in scaling.commands(kind, scene, overrides, chosen.duration, ranks, out, chosen.launcher):
+                    print(line)
+            return 0
+        rows = [row for kind in kinds
+                for row in scaling.study(kind, scene, overrides, chosen.duration, ranks, out, chosen.launcher)]
+        print(scaling.table(rows))
+        print("also in " + ", ".join(str(path) for path in scaling.write(rows, out)))
+    except F2SError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,169 @@
+"""The benchmarks: the hook, the counting of operations and bytes, the states, the machine, the scaling studies."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import ROOT, launch
+
+from f2s_hpc import mpi
+from f2s_hpc.bench import counting, kernels, scaling, states
+from f2s_hpc.bench.hook import EXCHANGE, Stopwatches, hooked
+from f2s_hpc.bench.machine import multiply_add_peak, triad_bandwidth
+from f2s_hpc.config import load_scene
+from f2s_hpc.errors import InputError
+from f2s_hpc.fields import BY_NAME
+from f2s_hpc.kernels import force
+from f2s_hpc.solver import lagrange
+
+
+@pytest.mark.mpi
+def test_hook_sees_every_kernel_of_a_step_and_leaves_nothing_behind():
+    """Fails if a caller of kernels is missing in ``hook.CALLERS``."""
+    model = states.model_of()
+    setup = states.flying(model)
+    watches = Stopwatches()
+    kept = lagrange.force
+    with hooked(watches.wrap):
+        setup.advance(1)
+        assert lagrange.force is not kept
+    assert lagrange.force is kept
+    assert lagrange.force is force
+    seconds, calls = watches.read()
+    assert calls["force.nodal_forces"] == 1
+    assert calls["flux.volume_fluxes"] == 3
+    assert calls["sides.fill_ghosts"] > 3
+    assert calls[EXCHANGE] > 3
+    assert all(value >= 0.0 for value in seconds.values())
+    assert watches.read() == ({}, {})
+
+
+@pytest.mark.mpi
+def test_hooked_step_gives_the_same_bits():
+    model = states.model_of()
+    one, other = states.flying(model), states.flying(model)
+    one.advance(2)
+    with hooked(Stopwatches().wrap):
+        other.advance(2)
+    for name in one.state.saved:
+        assert np.array_equal(one.state.owned(name), other.state.owned(name)), name
+
+
+@pytest.mark.mpi
+def test_tiles_step_like_the_patch():
+    """Two mirror images side by side: the low one stays the patch, whatever the number of ranks."""
+    model = states.model_of()
+    saved = states.save(states.flying(model))
+    small, wide = (states.tiled(saved, model, tiles) for tiles in ((1, 1), (2, 1)))
+    for setup in (small, wide):
+        setup.advance(3)
+    assert small.clock.dt == wide.clock.dt
+    alone, beside = states.save(small), states.save(wide)
+    nx = states.PATCH[0]
+    for name in ("mass", "velocity_z", "stress_xy", "velocity_x"):
+        on_nodes = BY_NAME[name].location != "cell"
+        part = beside[name][:, :, :nx + int(on_nodes)]
+        assert np.abs(part - alone[name]).max() <= 1e-9 * np.abs(alone[name]).max(), name
+
+
+def test_counted_numbers_count_what_is_done_and_compute_the_same():
+    before = counting._operations[0]
+    a, b = counting.Counted(3.0), counting.Counted(4.0)
+    value = 2.0 * a + b / 2.0 - np.float64(1.0) * a
+    assert value == 5.0
+    assert counting._operations[0] - before == 5
+    assert isinstance(value, counting.Counted)
+    assert math.isinf(a / counting.Counted(0.0))
+    assert -a == -3.0
+    assert counting._operations[0] - before == 6
+
+
+def test_traced_arrays_note_what_is_read_and_written():
+    memory = np.arange(24.0)
+    traced = counting.trace(memory.reshape(2, 3, 4))
+    row = traced[1, 2, 1:]
+    assert row.size == 3
+    assert row[0] == 21.0
+    row[2] = 5.0
+    assert memory[23] == 5.0
+    assert traced.buffer.touched() == (2, 1)
+    traced[0, 0] = 7.0
+    assert memory[:4].tolist() == [7.0] * 4
+    assert traced.buffer.touched() == (6, 5)
+    with pytest.raises(IndexError):
+        traced[2, 0, 0]
+
+
+def test_visited_cells_of_runs_and_columns():
+    runs = np.array([[4, 4, 0, 16], [4, 5, 8, 30], [9, 4, 0, 16]], dtype=np.int32)
+    assert counting.visited((runs, 2, (4, 8, 4, 8, 4, 20), 1.0)) == 12 + 12
+    columns = np.array([[4, 0, 10, 0, 16]], dtype=np.int32)
+    assert counting.visited((columns, 1, (4, 8, 4, 8, 4, 20))) == 4 * 12
+    assert counting.visited((np.ones(3), 2)) == 0
+
+
+def test_machine_limits_are_plausible():
+    """Within what any processor of these years can do, and cache faster than memory."""
+    assert 1e9 < triad_bandwidth(8 * 2**20, 2) < 1e12
+    assert 2e9 < multiply_add_peak(2) < 1e12
+
+
+def test_bench_script_prints_and_writes(tmp_path):
+    """The whole of it at the smallest size, with counted bytes and flops."""
+    done = launch([sys.executable, str(ROOT / "scripts/bench_kernels.py"), "--states", "flying", "--sizes", "S",
+                   "--json", "b.json"], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    record = json.loads((tmp_path / "b.json").read_text())
+    rows = {row["kernel"]: row for row in record["rows"]}
+    whole = rows[kernels.WHOLE_STEP]
+    assert whole["nanoseconds"] >= max(r["nanoseconds"] for r in record["rows"])
+    assert 500 < whole["operations"] < 20_000
+    assert 500 < whole["bytes"] < 20_000
+    for name in ("force.nodal_forces", "remap.nodal_masses"):
+        assert 0.0 < rows[name]["roofline"] < 3.0
+    # eight masses: seven sums and a product, for each of the calls
+    assert rows["remap.nodal_masses"]["operations"] == pytest.approx(8.0 * rows["remap.nodal_masses"]["calls"])
+    assert "triad" in done.stdout
+    done = launch([sys.executable, str(ROOT / "scripts/bench_kernels.py"), "--sizes", "huge"], cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "no size 'huge'; there are S, M, L, XL\n"
+
+
+def test_weak_scaling_repeats_the_patch():
+    scene = load_scene("quickstart")
+    assert scaling.weak_settings(scene, 6) == ['domain.size=["0.00036 m", "0.00024 m", "0.0003 m"]',
+                                               "batches.particles=216"]
+    with pytest.raises(InputError, match="batches are generated"):
+        scaling.weak_settings(load_scene("splat"), 2)
+    assert scaling.rank_list(6) == [1, 2, 4]
+
+
+def test_scaling_script_runs_and_writes(tmp_path):
+    command = [sys.executable, str(ROOT / "scripts/scaling.py"), "--scene", "quickstart", "--ranks", "1,2",
+               "--duration", "8 ns", "--out", "study"]
+    done = launch(command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "study/scaling.json").read_text())
+    assert [(r["kind"], r["ranks"]) for r in rows] == [("strong", 1), ("strong", 2), ("weak", 1), ("weak", 2)]
+    assert rows[0]["efficiency"] == rows[2]["efficiency"] == 1.0
+    assert rows[3]["cells"] == 2 * rows[2]["cells"]
+    assert all(0.0 < r["busy_s"] <= r["step_s"] * 1.05 for r in rows)
+    assert (tmp_path / "study/scaling.png").stat().st_size > 5000
+    assert len((tmp_path / "study/scaling.csv").read_text().splitlines()) == 5
+    again = launch(command, cwd=tmp_path)
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
+    printed = launch([*command, "--dry-run", "--launcher", "srun --mpi=pmix -n", "--kind", "weak"], cwd=tmp_path)
+    assert printed.stdout.count("srun --mpi=pmix -n ") == 2
+
+
+def test_counting_needs_numba_switched_off_only_in_its_own_process():
+    code = "import numba, f2s_hpc.bench.kernels; print(numba.config.DISABLE_JIT)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.stdout.strip() == "0", done.stderr
+    assert mpi.size() == 1

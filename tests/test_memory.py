@@ -1,0 +1,85 @@
+"""Memory: what is predicted is what real runs take, and a scene allocates no field that it does not need."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import pytest
+from conftest import launch
+
+from f2s_hpc import fields, mpi
+from f2s_hpc.bench.hook import Stopwatches, hooked
+from f2s_hpc.build import build_state
+from f2s_hpc.config import load_scene, scene_names
+from f2s_hpc.grid.box import Box
+from f2s_hpc.grid.decomposition import ownership_ranges, process_grid
+from f2s_hpc.io import runs
+from f2s_hpc.verify.watch import prepare
+from f2s_hpc.workload import memory
+
+SHORT = ["cycles.count=1", "cycles.duration=3 ns", "cycles.last_duration=3 ns", "output.checkpoints=true",
+         "output.picture=false"]
+
+
+@pytest.mark.parametrize(("cell_um", "ranks"), [(12, 1), (12, 2), (5, 1), (5, 2)])
+def test_prediction_is_true_within_ten_percent(tmp_path, cell_um, ranks):
+    """Fails if a field, the ghosts or the maps are forgotten: at 5 um they are half of it."""
+    overrides = [f"domain.cell_size={cell_um} um", *SHORT]
+    scene = load_scene("section4", overrides)
+    box = Box(scene.domain.cells, scene.domain.cell_size)
+    expected = memory.of_fullest(scene, ownership_ranges(box, process_grid(box, ranks)))
+    settings = [word for one in overrides for word in ("--set", one)]
+    done = launch([sys.executable, "-m", "f2s_hpc", "run", "section4", "--out", "run", *settings], ranks, tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    measured = runs.read_summary(tmp_path / "run")["peak_memory_bytes_per_rank"]
+    assert expected.total == pytest.approx(measured, rel=0.1)
+    if cell_um == 5:
+        assert expected.arrays + expected.maps > 0.3 * measured
+
+
+def test_check_prints_bytes_per_cell(run_f2s):
+    done = run_f2s(["check", "section4"])
+    assert done.returncode == 0, done.stderr
+    line = next(text for text in done.stdout.splitlines() if text.startswith("# memory"))
+    found = re.search(r"([\d.]+ MiB) for the process and its libraries, and (\d+) bytes per cell", line)
+    assert found, line
+    assert 200 < int(found.group(2)) < 320
+
+
+BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction"}
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
+    """No energy without Mie-Grueneisen pressure, no origin unless asked for, no losses unless they heat."""
+    coarse = {"wide-100k": "80 um", "section4": "15 um", "section4-standard": "15 um"}.get(name)
+    size = [f"domain.cell_size={coarse}"] if coarse else []
+    for overrides, missing in (([], set()), (["numerics.loss_heating=false"], {"lost_energy"})):
+        state = build_state(load_scene(name, [*size, *overrides]))
+        assert set(state.views) == BASE - missing, name
+        cells = sum(view.size for view in state.views.values())
+        assert state.pool.memory.size < cells + 1024 * len(state.views)
+    assert len(BASE) == 26 - 2
+
+
+@pytest.mark.parametrize(("settings", "called"), [
+    ([], {"conduction.heat_gained", "momentum.specific_losses"}),
+    (["numerics.conduction=false"], {"momentum.specific_losses"}),
+    (["numerics.conduction=false", "numerics.loss_heating=false"], set())])
+def test_what_is_switched_off_is_not_computed(settings, called):
+    """Fails if a kernel of conduction, or of the heat of losses, runs in a scene without it."""
+    setup, _ = prepare(load_scene("quickstart", ["domain.cell_size=10 um", *settings]))
+    watches = Stopwatches()
+    with hooked(watches.wrap):
+        setup.advance(1)
+    names = set(watches.read()[1])
+    assert names & {"conduction.heat_gained", "conduction.add_heat", "momentum.specific_losses"} >= called
+    assert ("conduction.heat_gained" in names) == ("conduction.heat_gained" in called)
+    assert ("momentum.specific_losses" in names) == ("momentum.specific_losses" in called)
+
+
+def test_options_bring_their_fields():
+    assert fields.needed(True, True, True) == fields.FIELDS
+    assert {f.name for f in fields.needed(False, False, False)} == BASE - {"lost_energy"}
+    assert mpi.size() == 1

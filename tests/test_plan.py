@@ -1,0 +1,129 @@
+"""``f2s plan``: the model of a step, the expected load, and the prediction against real runs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from f2s_hpc.bench import rates as measured
+from f2s_hpc.config import load_scene
+from f2s_hpc.errors import InputError
+from f2s_hpc.grid.box import GHOST, Box
+from f2s_hpc.grid.decomposition import ownership_ranges
+from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.workload.expected import moments, part_cells
+from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
+
+RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, "a test")
+COARSE = ["domain.cell_size=12 um"]
+
+
+def test_parts_add_up_to_the_box():
+    scene = load_scene("section4", COARSE)
+    moment = list(moments(scene, make_batches(scene)))[20]
+    nx = scene.domain.cells[0]
+    box = Box(scene.domain.cells, 1e-6)
+    whole = part_cells(moment.blocks, nx, ownership_ranges(box, (1, 1, 1)), 0)
+    parts = part_cells(moment.blocks, nx, ownership_ranges(box, (3, 2, 2)), 0)
+    assert parts.shape == (2, 2, 3)
+    assert parts.sum() == whole[0, 0, 0] > 0
+    wide = part_cells(moment.blocks, nx, ownership_ranges(box, (3, 2, 2)), GHOST)
+    assert (wide > parts).all()
+
+
+def test_the_load_follows_the_particles():
+    """All particles fly at first; at the end of the run all are deposit, and its volume is theirs."""
+    scene = load_scene("section4", COARSE)
+    history = list(moments(scene, make_batches(scene)))
+    assert sum(m.weight for m in history) == pytest.approx(1.0)
+    first, last = history[0], history[-1]
+    assert (first.blocks & ~first.solid & 1).sum() > first.solid.sum()
+    assert (last.blocks & ~last.solid & 1).sum() < 0.05 * last.solid.sum()
+    substrate = history[0].solid.sum()
+    assert last.solid.sum() > 3 * substrate
+    assert all((m.blocks >= m.solid).all() for m in history)
+
+
+def test_messages_of_a_cut_box():
+    """Two ranks of 10 x 8 x 6 cells each swap four layers; a corner of a 2 x 2 grid has three neighbours."""
+    scene = load_scene("splat")
+    network = Network(1e-6, 1e9)
+    seconds, sent = message_seconds(scene, ([10, 10], [8], [6]), RATES, network)
+    assert sent.shape == (1, 1, 2)
+    assert (sent == 8 * 17 * 4 * 8 * 6).all()
+    assert seconds[0, 0, 0] == pytest.approx(2 * 1e-6 + 2e-6 + sent[0, 0, 0] * 1.5e-9)
+    seconds, _ = message_seconds(scene, ([10, 10], [8, 8], [6]), RATES, Network(1.0, 1e30))
+    assert seconds[0, 0, 0] == pytest.approx(2 * 3 + 2 * 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["section4", "section4-standard", "quickstart", "wide-100k"])
+def test_predictions_of_the_scenes(name):
+    """More ranks take less time and less memory, at no more than full efficiency, up to 4,096 where the box allows."""
+    scene = load_scene(name, COARSE if name.startswith("section4") else [])
+    ranks = {"wide-100k": [1, 16, 256, 1024, 4096], "quickstart": [1, 2, 4, 8]}.get(name, [1, 2, 8, 32])
+    found = predict(scene, make_batches(scene), ranks, RATES, Network())
+    assert [p.ranks for p in found] == ranks
+    times, memory = [p.total_s for p in found], [p.memory for p in found]
+    assert times == sorted(times, reverse=True)
+    assert memory[-1] < memory[0]
+    assert found[0].efficiency == pytest.approx(1.0)
+    assert all(0.0 < p.efficiency <= 1.0 + 1e-9 for p in found)
+    assert all(p.imbalance >= 1.0 - 1e-12 for p in found)
+    assert len(table(found).splitlines()) == len(ranks) + 1
+
+
+def test_too_many_ranks_for_the_box_are_refused():
+    scene = load_scene("splat")
+    with pytest.raises(InputError, match="can not be cut into 4096 blocks"):
+        predict(scene, make_batches(scene), [4096], RATES, Network())
+
+
+def test_fit_finds_the_rates_it_was_made_from():
+    rows, times = [], []
+    for kind in (0, 1):
+        for owned, ghosts in ((6000, 9000), (25_000, 18_000), (100_000, 40_000)):
+            rows.append((kind, owned, ghosts))
+            times.append(2e-3 + (7e-7, 5e-7)[kind] * (owned + 0.4 * ghosts))
+    found = measured._fitted(rows, times, [SOLID, FLYING], ((0, 3),), 1e9)
+    assert found.per_step == pytest.approx(2e-3, rel=1e-6)
+    assert found.per_cell == {SOLID: pytest.approx(7e-7), FLYING: pytest.approx(5e-7)}
+    assert found.ghost_share == pytest.approx(0.4)
+
+
+def test_rates_are_kept_and_wrong_files_refused(tmp_path):
+    measured.write_rates(tmp_path / "r.json", RATES)
+    assert measured.read_rates(tmp_path / "r.json") == RATES
+    for text in ("{}", "nonsense", '{"per_step": 1}', json.dumps({"per_step": float("nan"), "per_cell": {}})):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(InputError, match="is no file of rates"):
+            measured.read_rates(tmp_path / "bad.json")
+
+
+def test_plan_command(run_f2s, tmp_path):
+    """Prediction and check of a small scene; on a machine that others use the ratio says only that both are alike."""
+    done = run_f2s(["plan", "quickstart", "--ranks", "1,2,4", "--rates", "rates.json", "--check", "--json", "p.json"])
+    assert done.returncode == 0, done.stderr
+    assert "measuring the rates" in done.stdout
+    record = json.loads((tmp_path / "p.json").read_text())
+    assert [p["ranks"] for p in record["predictions"]] == [1, 2, 4]
+    for row in record["check"]:
+        assert row["predicted_active"] == pytest.approx(row["active_cells"], rel=0.05)
+        assert 0.4 < row["ratio"] < 1.8
+    again = run_f2s(["plan", "quickstart", "--ranks", "2", "--rates", "rates.json"])
+    assert "measuring" not in again.stdout
+    printed = float(again.stdout.splitlines()[-1].split()[3])
+    assert np.isclose(record["predictions"][1]["step_s"] * 1e3, printed, atol=0.01)
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--ranks", "0"], "whole numbers from 1 to 4,096"), (["--ranks", "two"], "whole numbers from 1 to 4,096"),
+    (["--ranks", "5000"], "whole numbers from 1 to 4,096"), (["--bandwidth", "0"], "--bandwidth must be above 0"),
+    (["--latency", "3 um"], "--latency 3 um: this is a length"), (["--rates", "bad.json"], "is no file of rates")])
+def test_wrong_arguments_are_one_line_and_code_2(run_f2s, tmp_path, arguments, said):
+    (tmp_path / "bad.json").write_text("[]")
+    done = run_f2s(["plan", "splat", *arguments])
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert said in done.stderr
