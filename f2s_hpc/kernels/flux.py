@@ -109,47 +109,73 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
 
 
 @kernel
-def mass_fluxes(runs, count, window, shape, axis, done, second, gx, gy, gz, mass, fraction, flux, mass_flux):
-    """Mass (in full cells) that crosses each low face along ``axis``: volume flux times donor density.
+def _density_row(left, gx0, gx1, gy0, gy1, gz0, gz1, mass, fraction, density):
+    """Density (in reference densities) of the material of a row of cells, 0 where there is none."""
+    ax, ay, az = left
+    for i in range(mass.size):
+        volume = 1.0 + ax * (gx1[i] - gx0[i]) + ay * (gy1[i] - gy0[i]) + az * (gz1[i] - gz0[i])
+        density[i] = mass[i] / max(fraction[i] * volume, 1e-300) if mass[i] > 0.0 else 0.0
 
-    Between full cells the density is reconstructed with a limited slope (when ``second`` is 1), next
-    to a mixed or void cell it is the donor's own.
-    """
+
+@kernel
+def material_densities(runs, count, window, shape, done, gx, gy, gz, mass, fraction, density):
+    """Density of the material of the cells of ``window`` in their present volumes; ``density``: node-shaped array."""
     ny, nx = shape
-    back = 1 if axis == 0 else (nx if axis == 1 else nx * ny)
-    step = 1 if axis == 0 else (nx + 1 if axis == 1 else (nx + 1) * (ny + 1))
-    row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
-    ax, ay, az = axes_left(done)
+    row1, plane1, left = nx + 1, (nx + 1) * (ny + 1), axes_left(done)
+    gx, gy, gz, mass, fraction = borrowed(gx), borrowed(gy), borrowed(gz), borrowed(mass), borrowed(fraction)
+    density = borrowed(density)
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
         first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        face = (k * (ny + 1) + j) * (nx + 1)
-        cell = (k * ny + j) * nx
-        for i in range(first, last):
-            n, c = face + i, cell + i
-            phi = flux[n]
-            if phi == 0.0:
-                mass_flux[n] = 0.0
-                continue
-            side = 1 if phi > 0.0 else 0
-            d = c - side * back
-            m = n - side * step
-            volume = 1.0 + ax * (gx[m + 1] - gx[m]) + ay * (gy[m + row1] - gy[m]) + az * (gz[m + plane1] - gz[m])
-            material = fraction[d] * volume
-            density = mass[d] / material
-            if second == 1 and fraction[d] >= FULL:
-                up, down = (d - back, d + back) if side else (d + back, d - back)
-                a, b = (n - 2 * step, n) if side else (n + step, n - step)
-                if fraction[up] >= FULL and fraction[down] >= FULL:
-                    rho_up = mass[up] / (
-                        1.0 + ax * (gx[a + 1] - gx[a]) + ay * (gy[a + row1] - gy[a]) + az * (gz[a + plane1] - gz[a]))
-                    rho_down = mass[down] / (
-                        1.0 + ax * (gx[b + 1] - gx[b]) + ay * (gy[b + row1] - gy[b]) + az * (gz[b + plane1] - gz[b]))
-                    density += limited_step(density - rho_up, rho_down - density, abs(phi) / volume)
-            moved = phi * density
-            mass_flux[n] = min(max(moved, -mass[d]), mass[d])
+        if last <= first:
+            continue
+        a, c, n = (k * (ny + 1) + j) * row1 + first, (k * ny + j) * nx + first, last - first
+        _density_row(left, gx[a:a + n], gx[a + 1:a + 1 + n], gy[a:a + n], gy[a + row1:a + row1 + n], gz[a:a + n],
+                     gz[a + plane1:a + plane1 + n], mass[c:c + n], fraction[c:c + n], density[a:a + n])
+
+
+@kernel
+def _mass_flux_row(second, flux, m1, m2, f0, f1, f2, f3, d0, d1, d2, d3, mass_flux):
+    """Mass fluxes of a row of faces; masses, fractions and densities of the two cells below and the two above each."""
+    for i in range(flux.size):
+        phi, along = flux[i], flux[i] > 0.0
+        donor, fraction = m1[i] if along else m2[i], f1[i] if along else f2[i]
+        up_fraction, down_fraction = f0[i] if along else f3[i], f2[i] if along else f1[i]
+        up, density, down = d0[i] if along else d3[i], d1[i] if along else d2[i], d2[i] if along else d1[i]
+        solid = second if min(fraction, up_fraction, down_fraction) >= FULL else 0.0
+        # the donor's volume is mass over fraction over density
+        share = min(abs(phi) * fraction * density / max(donor, 1e-300), 1.0)
+        moved = phi * (density + solid * limited_step(density - up, down - density, share))
+        mass_flux[i] = min(max(moved, -donor), donor) if phi != 0.0 else 0.0
+
+
+@kernel
+def mass_fluxes(runs, count, window, shape, axis, second, density, mass, fraction, flux, mass_flux):
+    """Mass (in full cells) that crosses each low face along ``axis``: volume flux times donor density.
+
+    Between full cells the density (:func:`material_densities`) is reconstructed with a limited slope (when ``second``
+    is 1.0), next to a mixed or void cell it is the donor's own.
+    """
+    ny, nx = shape
+    back = 1 if axis == 0 else (nx if axis == 1 else nx * ny)
+    step = 1 if axis == 0 else (nx + 1 if axis == 1 else (nx + 1) * (ny + 1))
+    density, mass, fraction = borrowed(density), borrowed(mass), borrowed(fraction)
+    flux, mass_flux = borrowed(flux), borrowed(mass_flux)
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
+        if last <= first:
+            continue
+        a, c, n = (k * (ny + 1) + j) * (nx + 1) + first, (k * ny + j) * nx + first, last - first
+        _mass_flux_row(second, flux[a:a + n], mass[c - back:c - back + n], mass[c:c + n],
+                       fraction[c - 2 * back:c - 2 * back + n], fraction[c - back:c - back + n], fraction[c:c + n],
+                       fraction[c + back:c + back + n], density[a - 2 * step:a - 2 * step + n],
+                       density[a - step:a - step + n], density[a:a + n], density[a + step:a + step + n],
+                       mass_flux[a:a + n])
 
 
 @kernel

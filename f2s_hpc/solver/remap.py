@@ -67,7 +67,10 @@ def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) ->
     boundary.continue_outwards(memory, offset, state.active, False)
     low[axis] = 1
     window = state.cell_window(tuple(low), tuple(high))
-    flux.mass_fluxes(runs, count, window, shape, axis, done, int(model.settings.second_order), *arrays,
+    # (the dual fluxes come after)
+    around, density = state.cell_window(*(tuple(3 if a == axis else 1 for a in range(3)),) * 2), state.flat["dual_flux"]
+    flux.material_densities(runs, count, around, shape, done, *arrays[:5], density)
+    flux.mass_fluxes(runs, count, window, shape, axis, float(model.settings.second_order), density, *arrays[3:],
                      state.flat["mass_flux"])
     state.boundary.stop_inflow(axis, state.views["volume_flux"], state.views["mass_flux"])
     _count_losses(state, model, axis, ledger)
