@@ -58,8 +58,11 @@ def test_all_that_material_can_reach_is_active(count, rng):
         for place in np.argwhere(state.views["mass"] > 0.0):
             low, high = np.maximum(place - 1, 0), np.minimum(place + 3, shape)
             assert active[low[0]:high[0], low[1]:high[1], low[2]:high[2]].all(), place
-        for times in (listed_cells(state), listed_cells(state, 1), listed_cells(state, 2)):
-            assert (times == active).all()
+        assert (listed_cells(state) == active).all()
+        for times in (listed_cells(state, 1), listed_cells(state, 2)):
+            # a column may take in a few inactive cells, but walks no active one twice and leaves none out
+            assert (times[active.astype(bool)] == 1).all()
+            assert times.sum() <= 1.25 * active.sum()
 
 
 def test_an_empty_box_has_no_active_cell_and_material_is_not_missed_after_rest():

@@ -48,6 +48,7 @@ speed = "640 m/s"
 speed_curvature = "-15000 m/s/mm2"
 direction = [0.1, -0.05, -1.0]
 temperature = "450 degC"
+flight = "eulerian"
 
 [batches]
 count = 2

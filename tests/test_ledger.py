@@ -123,9 +123,10 @@ def test_heat_is_that_of_its_three_sources():
     energy = run.energy
     wanted = run.model.bulk.taylor_quinney * energy["plastic_work"] + energy["shock_viscosity"]
     assert energy["heat"] - energy["returned_heat"] == pytest.approx(wanted, rel=1e-6)
-    # what the last step lost heats in the next; elastic energy lost and the mass floor's share do not come back
+    # what the last step lost heats in the next; elastic energy lost, the mass floor's share and what nodes on the
+    # surface and in fragments lost do not come back
     lost = energy["hourglass"] + energy["light_nodes"] + energy["remap_kinetic"]
-    assert energy["returned_heat"] == pytest.approx(run.model.bulk.taylor_quinney * lost, rel=0.15)
+    assert 0.6 < energy["returned_heat"] / (run.model.bulk.taylor_quinney * lost) < 1.0
 
 
 def test_losses_heat_only_if_asked():

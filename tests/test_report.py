@@ -41,6 +41,7 @@ name = "copper-ge"
 [particles]
 speed = "615 m/s"
 temperature = "450 degC"
+flight = "eulerian"
 
 [batches]
 count = 2

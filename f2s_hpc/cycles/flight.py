@@ -135,18 +135,38 @@ class Flight:
         near = np.zeros(self.count)
         paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, _offset(state), self.dx, state.cell_window(),
                                     state.views["mass"], near)
-        meets = (mpi.maximum(near) > 0.0) | (self.contact <= time + ahead) | self._at_side(now, reach)
+        inside = now.z + now.r <= self.extents[2]
+        touches = mpi.maximum(near) > 0.0
+        if (touches & ~inside).any():
+            raise UnstableStep("a particle meets material at the top of the box, where it does not fit in; make "
+                               "domain.size higher")
+        meets = touches | (inside & ((self.contact <= time + ahead) | self._at_side(now, reach)))
+        meets &= ~self._overlapping(now, meets)
         if not meets.any():
             return None
-        if (now.z + now.r)[meets].max() > self.extents[2]:
-            raise UnstableStep("a particle meets the deposit at the top of the box, where it does not fit in; make "
-                               "domain.size higher")
         keep = ~meets
         arrived = now.chosen(meets)
         self.spheres = Batch(*self.spheres.arrays[:4]).chosen(keep)
         self.velocity, self.start, self.contact = self.velocity[keep], self.start[keep], self.contact[keep]
         same = (arrived.velocity == arrived.velocity[0]).all()
         return Batch(*arrived.arrays[:4], None if same else arrived.velocity), tuple(arrived.velocity[0])
+
+    def _overlapping(self, now: Batch, chosen: np.ndarray) -> np.ndarray:
+        """Hold back and raise each chosen sphere that has run into a lower one: those do that meet above the box."""
+        held = np.zeros(self.count, dtype=np.bool_)
+        rows = np.flatnonzero(chosen)
+        places = np.stack([now.x, now.y, now.z], axis=1)[rows]
+        if rows.size < 2 or (self.velocity == self.velocity[0]).all():
+            return held
+        for a, b in sorted(cKDTree(places).query_pairs(2.0 * now.r[rows].max())):
+            low, high = sorted((rows[a], rows[b]), key=lambda s: (now.z[s], s))
+            across = np.hypot(now.x[low] - now.x[high], now.y[low] - now.y[high])
+            both = now.r[low] + now.r[high]
+            short = now.z[low] + np.sqrt(max(both * both - across * across, 0.0)) - now.z[high]
+            if short > 0.0 and not held[low]:
+                self.spheres.z[high] += short
+                held[high] = True
+        return held
 
     def _at_side(self, now: Batch, reach: np.ndarray) -> np.ndarray:
         """Tell which spheres are within reach of a side that they fly towards; the bottom counts, the top does not."""

@@ -19,13 +19,7 @@ LEAST_MASS = 1e-13
 """Below this mass (in full cells or nodes) a quotient of masses is round-off: values are left as they are."""
 
 LEAST_SLOPED = 1e-6
-"""Nodes lighter than this (in full ones) are void to the slopes of their neighbours."""
-
-LEAST_SLOPED_CELL = 0.95
-"""Cells lighter than this (in full ones; none that is full is, whatever its tension) have no slope and give none.
-
-What a mixed cell holds lies where its material is, not at its centre. With slopes across the surface the lips of
-impacts kept PEEQ a third higher, and no less energy was lost without them."""
+"""Cells and nodes lighter than this (in full ones) are void to the slopes of their neighbours."""
 
 
 @kernel
@@ -99,14 +93,13 @@ def _face_weights(smooth, second, moved, m0, m1, m2, m3, m4, m5, w_behind, w_ahe
     The face carries the mean over the share n of the donor that moves, of the polynomial with the cell means around it:
     third order on three cells, fifth order on five where ``smooth`` asks for it and no wider neighbour is void
     (the upstream interpolations of Leonard 1991, Comput. Methods Appl. Mech. Eng. 88, 17).
-    Zero in first order and where the donor or a neighbour is void, of cells also where one is mixed: void has no
-    slope. ``m0``..``m5``: masses of the three rows below and the three above the faces.
+    Zero in first order and where the donor or a neighbour is void: void has no slope. ``m0``..``m5``: masses of the
+    three rows below and the three above the faces.
     """
     for i in range(moved.size):
         up2, up, donor, down, down2 = _ordered(moved[i] > 0.0, m0[i], m1[i], m2[i], m3[i], m4[i], m5[i])
         n = min(abs(moved[i]) / max(donor, 1e-300), 1.0)
-        least = LEAST_SLOPED if smooth > 0.0 else LEAST_SLOPED_CELL
-        solid = second * (1.0 if min(up, down, donor) > least else 0.0)
+        solid = second * (1.0 if min(up, down) > LEAST_SLOPED else 0.0)
         wide = smooth * solid * (1.0 if min(up2, down2) > LEAST_SLOPED else 0.0)
         narrow = (solid - wide) * (1.0 - n) / 6.0
         behind = 11.0 / 60.0 + n * (1.0 / 24.0 - n * (5.0 / 24.0 + n * (1.0 / 24.0 - n / 40.0)))

@@ -1,0 +1,108 @@
+"""Ballistic flight: analytic until something is within reach, then on the grid as if it had always been there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solver_setup import make_model, make_setup
+
+from f2s_hpc import mpi
+from f2s_hpc.cycles.flight import LOOK, REACH, Flight
+from f2s_hpc.cycles.insert import paint_arrivals
+from f2s_hpc.errors import UnstableStep
+from f2s_hpc.particles.batch import Batch
+
+DX = 3e-6
+CELLS = (24, 20, 40)
+DOWN = (0.0, 0.0, -600.0)
+
+pytestmark = pytest.mark.mpi
+
+
+@pytest.fixture
+def setup():
+    return make_setup(CELLS, make_model(DX), substrate=10)
+
+
+def spheres(*rows, velocity=None):
+    return Batch(*np.array(rows, dtype=float).T, velocity if velocity is None else np.array(velocity, dtype=float))
+
+
+def test_a_sphere_is_painted_when_the_surface_is_within_reach_and_not_before(setup):
+    """Its place is that of its straight flight, to round-off.
+
+    Fails if ``at`` forgets the start time, or ``spheres_near_material`` takes the box of the sphere for the sphere.
+    """
+    flight = Flight(DX, setup.state.part.box.extents)
+    r, z = 9e-6, 100e-6
+    flight.launch(setup.state, spheres((30e-6, 30e-6, z, r)), DOWN, 2e-6)
+    step = 0.2 * DX / 600.0
+    surface = 9.5 * DX  # centre of the highest cells
+    time, arrived = 2e-6, None
+    while arrived is None:
+        time += step
+        arrived = flight.arrivals(setup.state, time, step)
+    batch, velocity = arrived
+    assert velocity == DOWN
+    assert batch.velocity is None
+    assert batch.z[0] == pytest.approx(z - 600.0 * (time - 2e-6), rel=1e-12)
+    gap = batch.z[0] - r - surface
+    assert REACH * DX < gap <= REACH * DX + 2 * LOOK * 0.2 * DX
+    assert gap > (REACH + 2 * LOOK * 0.2 - LOOK * 0.2) * DX - 0.3 * DX
+    assert flight.count == 0
+
+
+def test_what_arrives_is_all_that_was_launched(setup):
+    """Mass of the painted sphere against its volume; fails if ``paint_arrivals`` paints with another place or twice."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    flight.launch(setup.state, spheres((30e-6, 30e-6, 60e-6, 9e-6)), DOWN, 0.0)
+    before = mpi.total(setup.state.owned("mass").sum())
+    arrived = flight.arrivals(setup.state, 3e-8, 1e-10)
+    paint_arrivals(setup.state, setup.model, arrived, 700.0, setup.ledger)
+    painted = (mpi.total(setup.state.owned("mass").sum()) - before) * DX**3
+    assert painted == pytest.approx(4.0 / 3.0 * np.pi * (9e-6) ** 3, rel=1e-9)
+
+
+def test_a_faster_sphere_meets_a_slower_one_when_their_gap_is_two_reaches(setup):
+    """|p + w t| = r_1 + r_2 + 2 reach in closed form; fails if the later root is taken, or one radius only."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    batch = spheres((30e-6, 30e-6, 60e-6, 6e-6), (30e-6, 30e-6, 110e-6, 9e-6), (50e-6, 20e-6, 200e-6, 5e-6),
+                    velocity=[(0, 0, -500.0), (0, 0, -700.0), (0, 0, -500.0)])
+    flight.launch(setup.state, batch, DOWN, 1e-6)
+    wanted = 1e-6 + (50e-6 - 15e-6 - 2 * REACH * DX) / 200.0
+    assert flight.contact[:2] == pytest.approx(wanted, rel=1e-12)
+    assert np.isinf(flight.contact[2])
+
+
+def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup):
+    """Fails if ``_free_places`` looks at material only, or at flying spheres only."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    assert flight.launch(setup.state, spheres((30e-6, 30e-6, 80e-6, 9e-6)), DOWN, 0.0) == 0
+    raised = flight.launch(setup.state, spheres((33e-6, 30e-6, 84e-6, 9e-6), (50e-6, 30e-6, 36e-6, 9e-6),
+                                                (12e-6, 12e-6, 80e-6, 9e-6)), DOWN, 0.0)
+    assert raised == 2
+    x, _, z, r = (a[:] for a in flight.spheres.arrays[:4])
+    assert np.hypot(x[1] - x[0], z[1] - z[0]) >= r[0] + r[1]
+    assert z[2] - r[2] >= 9.0 * DX
+    assert z[3] == 80e-6
+
+
+def test_a_sphere_that_does_not_fit_under_the_top_stops_the_run_on_all_ranks(setup):
+    """Fails if the part above the top is cut off in silence."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    setup.state.views["mass"][-12:-4] = 1.0
+    top = setup.state.part.box.extents[2]
+    flight.launch(setup.state, spheres((30e-6, 30e-6, top + 20e-6, 9e-6)), DOWN, 0.0)
+    with pytest.raises(UnstableStep, match="top of the box"):
+        flight.arrivals(setup.state, 10e-6 / 600.0, 1e-10)
+
+
+def test_a_restored_flight_is_the_same(setup):
+    """Fails if ``attributes`` leaves out ``calls`` or ``contact``."""
+    flight, other = (Flight(DX, setup.state.part.box.extents) for _ in range(2))
+    flight.launch(setup.state, spheres((30e-6, 30e-6, 60e-6, 6e-6), (30e-6, 30e-6, 110e-6, 9e-6),
+                                       velocity=[(0, 0, -500.0), (0, 0, -700.0)]), DOWN, 1e-6)
+    flight.arrivals(setup.state, 1.01e-6, 1e-10)
+    other.restore(flight.attributes())
+    assert other.attributes() == flight.attributes()
+    assert np.array_equal(other.at(2e-6).z, flight.at(2e-6).z)
