@@ -51,6 +51,7 @@ class State:
         shape = (nz, ny, activity.block_count(nx))
         self.active = np.ones(shape, dtype=np.uint8)
         self._previous = np.ones(shape, dtype=np.uint8)
+        self._untouched = True
         self._holds = np.zeros(shape, dtype=np.uint8)
         self.fast_rows = np.zeros((nz + 1, ny + 1), dtype=np.uint8)
         self._runs = activity.empty_list(1024, 4)
@@ -68,12 +69,39 @@ class State:
         """Forget what was active, before material put in is exchanged; the next update looks everywhere."""
         self.active[:] = 1
 
-    def update_activity(self) -> None:
-        """Find the active blocks from the present mass; zero what has just fallen outside them."""
+    def around(self, array: np.ndarray) -> np.ndarray:
+        """Return, as ``active`` is, the blocks of all planes [k] that hold something of ``array``, and those near ends.
+
+        Near the low and high end of the box are the ghosts, and what they mirror.
+        """
+        planes = np.array([plane.any() for plane in array])
+        planes[:2 * GHOST] = planes[-2 * GHOST:] = True
+        return np.repeat(planes, self.active[0].size).reshape(self.active.shape).astype(np.uint8)
+
+    def settle(self) -> None:
+        """Find the active blocks anew, wherever material is, and fill all ghosts; for material that was put in.
+
+        Empty planes are read, not written, so that they take no memory.
+        """
+        mass = self.views["mass"]
+        if self._untouched:
+            self.active[:] = 0
+        self.pool.exchange(("mass",))
+        self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), self.around(mass))
+        self.update_activity(self.around(mass))
+        self.exchange(self.ghosted)
+
+    def update_activity(self, look: np.ndarray | None = None) -> None:
+        """Find the active blocks from the present mass; zero what has just fallen outside them.
+
+        ``look``: where to look for material (as ``active``); where it was active before, if not given.
+        """
         nz, ny, nx = self.part.cell_shape
+        self._untouched = False
         if self.active_rows:
             self._previous[:] = self.active
-            activity.mark_material(self.flat["mass"], (nz, ny, nx), GHOST, self.active, self._holds)
+            look = self.active if look is None else look
+            activity.mark_material(self.flat["mass"], (nz, ny, nx), GHOST, look, self._holds)
             activity.grow_active(self._holds, self.active)
             activity.retire(self._previous, self.active, (ny, nx), self.pool.memory, self.cell_offsets,
                             self.node_offsets)

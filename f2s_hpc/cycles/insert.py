@@ -67,8 +67,7 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
         state.views["mass"][k] = share[k]
         state.views["volume_fraction"][k] = share[k]
         state.views["temperature"][k] = temperature
-    state.everything_active()
-    state.exchange(state.ghosted)
+    state.settle()
 
 
 def _offset(state: State) -> tuple[int, int, int]:
@@ -187,11 +186,11 @@ def add_material(state: State, model: Model, added: np.ndarray,
     Mass and kinetic energy enter the ledger. Collective; all ghosts are valid after.
     """
     flat, part = state.flat, state.part
-    state.everything_active()
     own = isinstance(velocity[0], np.ndarray)
+    where = state.around(added)
     # a mirrored normal velocity keeps its sign here, which does not matter: the nodes on its wall are held
     for array in (added, *(velocity if own else ())):
-        state.boundary.fill(array.reshape(-1), _ALONE, ("mass",), state.active)
+        state.boundary.fill(array.reshape(-1), _ALONE, ("mass",), where)
     before = kinetic_quanta(state, model)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
@@ -205,8 +204,7 @@ def add_material(state: State, model: Model, added: np.ndarray,
     else:
         paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
     state.boundary.hold([state.views[n] for n in VELOCITY])
-    state.everything_active()
-    state.exchange(state.ghosted)
+    state.settle()
     ledger.add("brought_in", kinetic_quanta(state, model) - before)
     quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
     ledger.add("mass_painted", quanta)
@@ -215,8 +213,7 @@ def add_material(state: State, model: Model, added: np.ndarray,
 
 def kinetic_quanta(state: State, model: Model) -> int:
     """Return the kinetic energy of the owned nodes in quanta, an exact sum."""
-    state.everything_active()
-    state.update_activity()
+    state.update_activity(state.around(state.views["mass"]))
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     remap.nodal_masses(runs, count, state.node_window(), shape, state.flat["mass"], state.flat["nodal_mass"])

@@ -76,8 +76,7 @@ class Simulation:
         arrays, saved = checkpoint.read_checkpoint(path, requests)
         for name, array in arrays.items():
             state.owned(name)[...] = array
-        state.everything_active()
-        state.exchange(state.ghosted)
+        state.settle()
         self._restore(saved)
 
     def _restore(self, saved: dict) -> None:
