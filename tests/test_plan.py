@@ -17,7 +17,7 @@ from f2s_hpc.workload.expected import moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
 
 RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, "a test")
-COARSE = ["domain.cell_size=12 um"]
+COARSE = ["domain.cell_size=12 um", "particles.flight=eulerian"]
 
 
 def test_parts_add_up_to_the_box():
@@ -44,6 +44,13 @@ def test_the_load_follows_the_particles():
     substrate = history[0].solid.sum()
     assert last.solid.sum() > 3 * substrate
     assert all((m.blocks >= m.solid).all() for m in history)
+
+
+def test_ballistic_flight_makes_nothing_active():
+    """Fails when ``moments`` marks flying spheres whatever the flight is."""
+    scene = load_scene("section4", COARSE[:1])
+    for moment in moments(scene, make_batches(scene), 1):
+        assert (moment.blocks == moment.solid).all()
 
 
 def test_messages_of_a_cut_box():

@@ -18,7 +18,7 @@ from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
-from f2s_hpc.particles.batch import clipped_volume, make_batches, write_csv
+from f2s_hpc.particles.batch import BatchPlan, clipped_volume, make_batches, write_csv
 from f2s_hpc.units import pretty_bytes
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import Balance, balance_of_run
@@ -48,13 +48,13 @@ def check(scene: Scene) -> str:
     parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
-                    more=[("memory", _memory_line(scene, balance)), ("imbalance", _balance_line(balance))])
+                    more=[("memory", _memory_line(scene, balance, plan)), ("imbalance", _balance_line(balance))])
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
 
 
-def _memory_line(scene: Scene, balance: Balance) -> str:
+def _memory_line(scene: Scene, balance: Balance, plan: BatchPlan) -> str:
     """Return what the rank that needs most memory will need of it."""
-    need = memory.of_fullest(scene, balance.ranges)
+    need = memory.of_fullest(scene, balance.ranges, plan)
     picture = f"; {pretty_bytes(memory.PICTURE)} more on rank 0 for the picture" if scene.output.picture else ""
     return (f"{pretty_bytes(need.total)} on the largest rank: {pretty_bytes(need.baseline)} for the process and its "
             f"libraries, and {need.per_cell:.0f} bytes per cell{picture}")

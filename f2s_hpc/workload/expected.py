@@ -1,7 +1,8 @@
 """The load of a run before it is run: which cells will be active when, from the substrate, the batches and the cycles.
 
 Spheres fly straight, each until its lowest point meets the surface below it; there it becomes deposit, spread over a
-disc. Nothing of the solver is run and no field is allocated, so this takes seconds for a hundred thousand particles.
+disc. In ballistic flight they make nothing active. Nothing of the solver is run and no field is allocated, so this
+takes seconds for a hundred thousand particles.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def moments(scene: Scene, plan: BatchPlan, samples: int = SAMPLES) -> Iterator[M
             blocks = np.zeros(shape, dtype=np.uint8)
             marks.mark_solid(blocks, height, GHOST, BLOCK)
             solid = blocks.copy()
-            for (x, y, z, r), flying in air:
+            for (x, y, z, r), flying in air if not scene.ballistic else ():
                 marks.mark_spheres(blocks, x, y, z, r, flying, GHOST, BLOCK, nx)
             yield Moment(cycle, duration / looks / scene.cycles.total_time, blocks, solid)
         for (x, y, z, _), _ in air:

@@ -2,8 +2,8 @@
 
     baseline + fields (cells with ghosts) + temporaries per cell + maps per ghost that another rank owns
 
-The three constants are measured (tests/test_memory.py holds them against real runs). All of a box counts as touched:
-particles pass through all of it in a run.
+The three constants are measured (tests/test_memory.py holds them against real runs). What nothing touches takes no
+memory: with ballistic flight that is all above the deposit, else particles pass through all of the box.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from f2s_hpc import fields
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST, Box, Part
 from f2s_hpc.grid.decomposition import Ranges
+from f2s_hpc.particles.batch import BatchPlan
 
 BASELINE = 252 * 2**20
 """Interpreter, numpy, numba with all compiled kernels, PETSc, MPI and HDF5, before any field is allocated (bytes)."""
 
-TEMPORARY = 26
+TEMPORARY = 80
 """Per local cell: arrays made while a batch is painted, a cycle is measured or a frame is written (bytes)."""
 
 MAP = 33
@@ -49,23 +52,41 @@ class RankMemory:
         return (self.arrays + self.maps) / self.cells
 
 
-def of_fields(scene: Scene, part: Part) -> int:
-    """Return the bytes of all fields of a rank, ghosts included."""
+def touched_planes(scene: Scene, plan: BatchPlan) -> int:
+    """Return how many planes of cells a run touches: up to the end's deposit and a largest particle on top of it."""
+    nx, ny, nz = scene.domain.cells
+    if not scene.ballistic:
+        return nz
+    dx, height = scene.domain.cell_size, scene.domain.substrate_height
+    speed, end, started, volume, largest = -scene.particles.velocity[2], scene.cycles.total_time, 0.0, 0.0, 0.0
+    for number, duration in zip(plan.order, scene.cycles.durations):
+        batch = plan.batches[number]
+        lands = batch.z + scene.domain.layer_bottom - batch.r - height < speed * (end - started)
+        volume += 4.0 / 3.0 * np.pi * float((batch.r[lands] ** 3).sum())
+        largest = max(largest, 2.0 * float(batch.r[lands].max(initial=0.0)))
+        started += duration
+    top = height + volume / (nx * ny * dx * dx) + largest
+    return min(int(np.ceil(top / dx)) + GHOST, nz)
+
+
+def of_fields(scene: Scene, part: Part, planes: int) -> int:
+    """Return the bytes of all fields of a rank, ghosts included, in the lowest ``planes`` of the box or its end."""
     needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    share = min(1.0, (planes + 3 * GHOST) / part.cell_shape[0])
     cells, nodes = math.prod(part.cell_shape), math.prod(part.node_shape)
-    return 8 * sum(nodes if f.location == fields.NODE else cells for f in needed)
+    return round(8 * share * sum(nodes if f.location == fields.NODE else cells for f in needed))
 
 
 def _mapped(scene: Scene, neighbours: tuple[int, int, int], count: tuple[int, int, int]) -> int:
     """Return ghosts of other ranks times exchanged fields, for a rank with so many neighbours along x, y, z."""
     ghosts = math.prod(n + GHOST * m for n, m in zip(count, neighbours)) - math.prod(count)
     needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
-    # one map each for the velocity, for the cell fields that move, and for all that has ghosts
-    moving = sum(f.advected and f.location == fields.CELL for f in needed) - 1
-    return ghosts * (len(fields.VELOCITY) + moving + sum(f.ghosted for f in needed))
+    # maps for all that has ghosts; for velocity and what moves with the cells deep, in one layer and along each axis
+    moving = sum(f.advected and f.location == fields.CELL for f in needed)
+    return ghosts * (2 * (len(fields.VELOCITY) + moving) + sum(f.ghosted for f in needed))
 
 
-def of_ranks(scene: Scene, ranges: Ranges) -> list[RankMemory]:
+def of_ranks(scene: Scene, ranges: Ranges, planes: int) -> list[RankMemory]:
     """Return the memory of each kind of rank: one for each size and number of neighbours in ``ranges``."""
     box = Box(scene.domain.cells, scene.domain.cell_size)
     kinds = [sorted({(n, (p > 0) + (p < len(counts) - 1)) for p, n in enumerate(counts)}) for counts in ranges]
@@ -75,11 +96,11 @@ def of_ranks(scene: Scene, ranges: Ranges) -> list[RankMemory]:
             for z in kinds[2]:
                 count, neighbours = zip(x, y, z)
                 part = Part(box, (0, 0, 0), count)
-                arrays = of_fields(scene, part) + TEMPORARY * math.prod(part.cell_shape)
+                arrays = of_fields(scene, part, planes) + TEMPORARY * math.prod(part.cell_shape)
                 found.append(RankMemory(BASELINE, arrays, MAP * _mapped(scene, neighbours, count), math.prod(count)))
     return found
 
 
-def of_fullest(scene: Scene, ranges: Ranges) -> RankMemory:
+def of_fullest(scene: Scene, ranges: Ranges, plan: BatchPlan) -> RankMemory:
     """Return the memory of the rank that needs most."""
-    return max(of_ranks(scene, ranges), key=lambda rank: rank.total)
+    return max(of_ranks(scene, ranges, touched_planes(scene, plan)), key=lambda rank: rank.total)

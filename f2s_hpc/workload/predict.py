@@ -143,7 +143,7 @@ def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, n
         found[count] = Prediction(
             count, tuple(map(len, balance.ranges)), math.prod(largest), active, steps, step, step * steps,
             float(seconds.max()) if count > 1 else 0.0,
-            memory.of_fullest(scene, balance.ranges).total,
+            memory.of_fullest(scene, balance.ranges, plan).total,
             int(sent.max()), float(mean.max() / mean.mean()), alone / (count * step * steps))
     return [found[count] for count in ranks]
 
