@@ -65,12 +65,7 @@ def inlined(function):
 
 
 @intrinsic
-def borrowed(context, array):
-    """Return ``array`` without its reference count, for use inside a kernel.
-
-    A slice of a counted array costs two atomic operations, as much as ten cells of a row; slices of a borrowed one
-    are free. The array itself must outlive them: arguments do; what a kernel allocates must be touched at its end.
-    """
+def _borrowed(context, array):
     def generate(target, builder, signature, arguments):
         make = target.make_array(array)
         copy = make(target, builder, value=arguments[0])
@@ -79,3 +74,20 @@ def borrowed(context, array):
         return copy._getvalue()
 
     return array(array), generate
+
+
+@numba.njit(**POINT_OPTIONS)
+def borrowed(array):
+    """Return ``array`` without its reference count, for use inside a kernel.
+
+    A slice of a counted array costs two atomic operations, as much as ten cells of a row; slices of a borrowed one
+    are free. The array itself must outlive them: arguments do; what a kernel allocates must be touched at its end.
+    """
+    return _borrowed(array)
+
+
+if numba.config.DISABLE_JIT:  # kernels run as plain Python
+
+    def borrowed(array):
+        """Return ``array``: plain Python counts its own references."""
+        return array

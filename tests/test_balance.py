@@ -39,6 +39,7 @@ name = "copper-ge"
 [particles]
 speed = "615 m/s"
 temperature = "450 degC"
+flight = "eulerian"
 
 [batches]
 spheres = [["21 um", "24 um", "20 um", "15 um"], ["54 um", "30 um", "22 um", "15 um"],
