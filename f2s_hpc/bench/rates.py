@@ -21,6 +21,7 @@ from f2s_hpc.build import build_model
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import BatchPlan
 from f2s_hpc.solver.model import Model
 from f2s_hpc.verify.box import Setup
@@ -59,18 +60,22 @@ def _active(setup: Setup) -> tuple[int, int]:
     return owned, local - owned
 
 
-def _exchanges(setup: Setup) -> tuple[tuple[int, int], ...]:
-    """Return how many cell and node fields each ghost exchange of a step carries: asked of a real step."""
-    found: list[tuple[int, int]] = []
+def _exchanges(setup: Setup) -> tuple[tuple[float, float], ...]:
+    """Return how many cell and node fields each ghost exchange of a step carries: asked of a real step.
+
+    Fields of which only some layers go count by their share of all, those that go along one axis by a third.
+    """
+    found: list[tuple[float, float]] = []
 
     def wrap(name: str, function: Callable) -> Callable:
         if name != EXCHANGE:
             return function
 
-        def noted(pool, names):
+        def noted(pool, names, layers=GHOST, axis=None):
+            share = layers / GHOST * (1.0 if axis is None else 1.0 / 3.0)
             cells = sum(BY_NAME[n].location == CELL for n in names)
-            found.append((cells, len(names) - cells))
-            return function(pool, names)
+            found.append((share * cells, share * (len(names) - cells)))
+            return function(pool, names, layers, axis)
 
         return noted
 

@@ -63,6 +63,7 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
     # a layer thinner than round-off of the height is not material
     share[share < 1e-9] = 0.0
     share[share > 1.0 - 1e-9] = 1.0
+    share[:GHOST] = share[GHOST + state.part.count[2]:] = 0.0  # the ghosts follow their owners
     for k in np.flatnonzero(share):
         state.views["mass"][k] = share[k]
         state.views["volume_fraction"][k] = share[k]

@@ -114,7 +114,8 @@ def _density_row(left, gx0, gx1, gy0, gy1, gz0, gz1, mass, fraction, density):
     ax, ay, az = left
     for i in range(mass.size):
         volume = 1.0 + ax * (gx1[i] - gx0[i]) + ay * (gy1[i] - gy0[i]) + az * (gz1[i] - gz0[i])
-        density[i] = mass[i] / max(fraction[i] * volume, 1e-300) if mass[i] > 0.0 else 0.0
+        material = fraction[i] * volume
+        density[i] = mass[i] / material if (mass[i] > 0.0) & (material > 0.0) else 0.0
 
 
 @kernel
@@ -144,10 +145,10 @@ def _mass_flux_row(second, flux, m1, m2, f0, f1, f2, f3, d0, d1, d2, d3, mass_fl
         donor, fraction = m1[i] if along else m2[i], f1[i] if along else f2[i]
         up_fraction, down_fraction = f0[i] if along else f3[i], f2[i] if along else f1[i]
         up, density, down = d0[i] if along else d3[i], d1[i] if along else d2[i], d2[i] if along else d1[i]
-        solid = second if min(fraction, up_fraction, down_fraction) >= FULL else 0.0
         # the donor's volume is mass over fraction over density
         share = min(abs(phi) * fraction * density / max(donor, 1e-300), 1.0)
-        moved = phi * (density + solid * limited_step(density - up, down - density, share))
+        step = second * limited_step(density - up, down - density, share)
+        moved = phi * (density + (step if min(fraction, up_fraction, down_fraction) >= FULL else 0.0))
         mass_flux[i] = min(max(moved, -donor), donor) if phi != 0.0 else 0.0
 
 
