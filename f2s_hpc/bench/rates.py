@@ -129,7 +129,7 @@ def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda
 
 
 def _fitted(rows: list[tuple[int, int, int]], times: list[float], kinds: list[str],
-            exchanges: tuple[tuple[int, int], ...], packing: float) -> Rates:
+            exchanges: tuple[tuple[float, float], ...], packing: float) -> Rates:
     """Fit the cost per step, per cell of each kind and of a ghost to measured steps, all relative errors alike."""
     kind, owned, ghosts = (np.array(column) for column in zip(*rows))
     seconds = np.array(times)
@@ -179,7 +179,7 @@ def read_rates(path: str | os.PathLike) -> Rates:
     """Read rates that :func:`write_rates` wrote; raises ``InputError`` for anything else."""
     try:
         record = json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
-        record["exchanges"] = tuple((int(c), int(n)) for c, n in record["exchanges"])
+        record["exchanges"] = tuple((float(c), float(n)) for c, n in record["exchanges"])
         record["sizes"] = tuple((int(n), float(factor)) for n, factor in record["sizes"])
         rates = Rates(**record)
         numbers = [rates.per_step, rates.ghost_share, rates.packing, *(rates.per_cell[kind] for kind in KINDS)]

@@ -92,11 +92,13 @@ def compare(scene: Scene, plan: BatchPlan, rates: Rates, network: Network, ranks
             duration: float | None = None) -> list[dict]:
     """Run the start of ``scene`` on each number of ranks, and return predicted and measured seconds per step.
 
-    ``duration``: simulated time (s), 40 steps if None. Starts processes of its own; raises ``F2SError``.
+    ``duration``: simulated time (s), 40 steps if None. The particles are painted at once: in ballistic flight the start
+    of a run would be a substrate at rest. Starts processes of its own; raises ``F2SError``.
     """
     duration = duration or STEPS * estimated_time_step(scene)
     short = parse_scene(dump_scene(scene), "plan", ["cycles.count=1", f"cycles.duration={duration!r} s",
-                                                    f"cycles.last_duration={duration!r} s"])
+                                                    f"cycles.last_duration={duration!r} s",
+                                                    "particles.flight=eulerian"])
     predicted = predict(short, BatchPlan(plan.batches, plan.order[:1]), ranks, rates, network)
     rows = []
     with tempfile.TemporaryDirectory() as folder:

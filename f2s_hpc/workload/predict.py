@@ -47,7 +47,7 @@ class Rates:
     per_cell: dict[str, float]
     ghost_share: float
     packing: float
-    exchanges: tuple[tuple[int, int], ...]
+    exchanges: tuple[tuple[float, float], ...]
     reductions: int = 1
     where: str = ""
     sizes: tuple[tuple[int, float], ...] = ()
