@@ -21,7 +21,7 @@ from f2s_hpc.bench import scaling
 from f2s_hpc.errors import F2SError, InputError
 
 PATCH = ['domain.size=["0.192 mm", "0.192 mm", "0.6 mm"]', "domain.cell_size=6 um", "batches.count=1",
-         "batches.particles=150"]
+         "batches.particles=150", "particles.flight=eulerian"]
 
 
 def _arguments(words: list[str]) -> argparse.Namespace:
