@@ -83,12 +83,12 @@ class State:
 
         Empty planes are read, not written, so that they take no memory.
         """
-        mass = self.views["mass"]
         if self._untouched:
             self.active[:] = 0
         self.pool.exchange(("mass",))
-        self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), self.around(mass))
-        self.update_activity(self.around(mass))
+        where = self.around(self.views["mass"])
+        self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), where)
+        self.update_activity(where)
         self.exchange(self.ghosted)
 
     def update_activity(self, look: np.ndarray | None = None) -> None:

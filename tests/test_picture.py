@@ -62,11 +62,11 @@ def figure_of(monkeypatch):
     def draw(fields, dx, substrate, title="Title", subtitle="Subtitle", path=None):
         kept = []
         with monkeypatch.context() as patch:
-            patch.setattr(picture, "_save", lambda figure, path: kept.append((figure, path)))
+            patch.setattr(picture, "save", lambda figure, *where: kept.append((figure, *where)))
             picture.draw(fields, dx, substrate, title, subtitle, path or "none")
-        figure, place = kept[0]
+        figure, *where = kept[0]
         if path:
-            picture._save(figure, place)
+            picture.save(figure, *where)
         return figure
 
     return draw

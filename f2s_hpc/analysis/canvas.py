@@ -41,13 +41,21 @@ def canvas(path: str | os.PathLike, width: float, height: float) -> Iterator[Any
         mpl.rcParams.update(_RC)
         figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
         yield figure
-        partial = path.with_name(f".{path.name}.partial")
-        try:
-            figure.savefig(partial, format="png", metadata={"Software": None})
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise F2SError(f"{path}: the figure cannot be written ({error.strerror or error})") from None
+        save(figure, path, "figure")
+
+
+def save(figure: Any, path: pathlib.Path, what: str) -> None:
+    """Write the PNG under another name, then put it in place; nothing in it tells when or where it was made.
+
+    ``what``: how the message of the ``F2SError`` calls it when it cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        figure.savefig(partial, format="png", metadata={"Software": None})
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise F2SError(f"{path}: the {what} cannot be written ({error.strerror or error})") from None
 
 
 def limits(values: Sequence[np.ndarray], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from f2s_hpc.analysis.canvas import save
 from f2s_hpc.analysis.surface import HALF_FULL, surface_height
-from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.errors import InputError
 
 NEEDED = ("volume_fraction", "peeq", "temperature", "speed")
 SLOW_SPEED = 50.0
@@ -104,7 +105,7 @@ def draw(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float, t
                       ("(b) Temperature (°C)", "(b) $T$ (°C)", "inferno"))
         _draw_map(figure, panels[2], section, surface, dx, substrate_height)
         _write_legend(figure, section, dx)
-        _save(figure, pathlib.Path(path))
+        save(figure, pathlib.Path(path), "picture")
 
 
 def _checked_shape(fields: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
@@ -333,14 +334,3 @@ def _write_legend(figure: Any, section: Section, dx: float) -> None:
     height = figure.get_size_inches()[1]
     figure.legend(handles=lines, loc="center", bbox_to_anchor=(0.5, 0.5 * _FOOT / height), ncols=3, frameon=False,
                   fontsize=8.5, handlelength=2.8, labelcolor=_INK)
-
-
-def _save(figure: Any, path: pathlib.Path) -> None:
-    """Write the PNG under another name, then put it in place; nothing in it tells when or where it was made."""
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        figure.savefig(partial, format="png", metadata={"Software": None})
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise F2SError(f"{path}: the picture cannot be written ({error.strerror or error})") from None

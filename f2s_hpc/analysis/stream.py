@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from f2s_hpc.errors import F2SError
+from f2s_hpc.analysis.canvas import save
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.stream import NumberFit, PolynomialFit, StreamFit
 
@@ -104,7 +104,7 @@ def draw_stream(fit: StreamFit, path: str | os.PathLike) -> None:
                            "lateral velocity (m/s)"))
         figure.suptitle(f"{measured.name}: {measured.count} particles; curves with 90 % prediction bands",
                         x=0.01, ha="left", fontsize=10, color=_INK)
-        _save(figure, pathlib.Path(path))
+        save(figure, pathlib.Path(path), "plot")
 
 
 def draw_batches(batches: Sequence[Batch], size_x: float, speed: float, path: str | os.PathLike) -> None:
@@ -125,7 +125,7 @@ def draw_batches(batches: Sequence[Batch], size_x: float, speed: float, path: st
             axes[0, 0].legend(fontsize=7, frameon=False)
         _label(axes[0, 0], "(a) Number over x", "x (mm)", f"particles per {1e3 * (edges[1] - edges[0]):.3g} um")
         _label(axes[0, 1], "(b) Speed over x", "x (mm)", "speed (m/s)")
-        _save(figure, pathlib.Path(path))
+        save(figure, pathlib.Path(path), "plot")
 
 
 def _draw_number(axes: Any, fit: NumberFit) -> None:
@@ -170,13 +170,3 @@ def _figure(size: tuple[float, float], rows: int, columns: int) -> tuple[Any, An
     from matplotlib.figure import Figure
     figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def _save(figure: Any, path: pathlib.Path) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        figure.savefig(partial, format="png", metadata={"Software": None})
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise F2SError(f"{path}: the plot cannot be written ({error.strerror or error})") from None

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import UnstableStep
-from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import paint
 from f2s_hpc.particles.batch import Batch, join
 from f2s_hpc.state import State
@@ -26,10 +25,6 @@ LOOK = 4
 
 CLEARANCE = 0.25
 """Step (in cells) by which a new sphere is raised until nothing is in its place."""
-
-
-def _offset(state: State) -> tuple[int, int, int]:
-    return tuple(s - GHOST for s in state.part.start)
 
 
 class Flight:
@@ -80,7 +75,7 @@ class Flight:
         waiting = np.ones(batch.count, dtype=np.bool_)
         while waiting.any():
             overlap = np.zeros(batch.count)
-            paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, _offset(state), self.dx,
+            paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, state.part.offset, self.dx,
                                   state.cell_window(), state.views["mass"], overlap)
             hit = mpi.maximum(overlap) > 0.0
             for index in np.flatnonzero(waiting & ~hit) if tree is not None else ():
@@ -133,7 +128,7 @@ class Flight:
         now = self.at(time)
         reach = REACH * self.dx + ahead * np.linalg.norm(self.velocity, axis=1)
         near = np.zeros(self.count)
-        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, _offset(state), self.dx, state.cell_window(),
+        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, state.part.offset, self.dx, state.cell_window(),
                                     state.views["mass"], near)
         inside = now.z + now.r <= self.extents[2]
         touches = mpi.maximum(near) > 0.0

@@ -71,13 +71,9 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
     state.settle()
 
 
-def _offset(state: State) -> tuple[int, int, int]:
-    return tuple(s - GHOST for s in state.part.start)
-
-
 def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
     overlap = np.zeros(batch.count)
-    paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, chosen, _offset(state), state.part.box.dx,
+    paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, chosen, state.part.offset, state.part.box.dx,
                           state.cell_window(), state.views["mass"], overlap)
     return mpi.maximum(overlap)
 
@@ -169,10 +165,10 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     added = np.zeros(state.part.cell_shape)
     spheres = (batch.x, batch.y, batch.z, batch.r)
     if batch.velocity is None:
-        paint.add_spheres(*spheres, _offset(state), state.part.box.dx, added)
+        paint.add_spheres(*spheres, state.part.offset, state.part.box.dx, added)
     else:
         velocity = tuple(np.zeros(state.part.cell_shape) for _ in range(3))
-        paint.add_moving_spheres(*spheres, batch.velocity, _offset(state), state.part.box.dx, added, *velocity)
+        paint.add_moving_spheres(*spheres, batch.velocity, state.part.offset, state.part.box.dx, added, *velocity)
     quanta = add_material(state, model, added, velocity, temperature, ledger)
     report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3
 

@@ -58,6 +58,11 @@ class Part:
         return tuple(s + c == n for s, c, n in zip(self.start, self.count, self.box.cells))
 
     @property
+    def offset(self) -> tuple[int, int, int]:
+        """Global index (i, j, k) of the first cell of a local array, a ghost."""
+        return tuple(s - GHOST for s in self.start)
+
+    @property
     def node_count(self) -> tuple[int, int, int]:
         """Nodes owned along x, y, z."""
         return tuple(c + int(last) for c, last in zip(self.count, self.at_high))

@@ -21,7 +21,6 @@ from f2s_hpc import fields
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.insert import InsertReport
 from f2s_hpc.cycles.simulation import Simulation
-from f2s_hpc.grid.box import GHOST
 from f2s_hpc.io import runs
 from f2s_hpc.kernels import derived, paint
 from f2s_hpc.report.deposit import checkpoints_by_cycle
@@ -91,10 +90,10 @@ def _signals_as_before() -> Iterator[None]:
 
 def _compare(simulation: Simulation, report: InsertReport, path: pathlib.Path) -> Handover:
     state = simulation.state
-    spheres, offset = report.positions, tuple(-GHOST for _ in range(3))
+    spheres = report.positions
     added = np.zeros(state.part.cell_shape)
     # found from the spheres, not from what changed: a change elsewhere must not hide itself
-    paint.add_spheres(spheres.x, spheres.y, spheres.z, spheres.r, offset, state.part.box.dx, added)
+    paint.add_spheres(spheres.x, spheres.y, spheres.z, spheres.r, state.part.offset, state.part.box.dx, added)
     new = added[state.part.owned_cells] > 0.0
     near = _touched_nodes(new)
     differences, different = {}, 0
