@@ -128,7 +128,7 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
             assert re.search(r"\d (KiB|MiB|kB|MB|B)\b", facts[name]), facts[name]
         scene = tomllib.loads(out)
         assert scene["domain"]["cell_size"] == "4 um"
-        assert scene["numerics"]["courant"] == 0.5
+        assert scene["numerics"]["courant"] == 0.7
     mpi.barrier()
     assert snapshot(workplace) == before
 

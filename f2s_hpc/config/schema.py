@@ -202,7 +202,7 @@ class Cycles(Section):
 class Numerics(Section):
     """The scheme's own numbers; the defaults are the measured choice."""
 
-    courant: Number = Field(default=0.5, gt=0, lt=1, description="time step over the sound crossing time of a cell")
+    courant: Number = Field(default=0.7, gt=0, lt=1, description="time step over the sound crossing time of a cell")
     remap_courant: Number = Field(default=0.25, gt=0, le=0.45,
                                   description="largest share of a cell that material crosses in a step")
     strain_per_step: Number = Field(default=0.1, gt=0, le=1, description="largest strain increment in a step")
