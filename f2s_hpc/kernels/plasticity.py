@@ -16,8 +16,8 @@ ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, NORM = 25, 26, 27
 """Energies per cell volume (J/m3), in the order of the sums: elastic before and after, plastic work, heat, shock
 viscosity, heat from numerical losses; then the squared norm of the gradient."""
 
-THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, RETURNED_STRESS, ROWS = (
-    32, 33, 34, 35, 36, 37, 38, 39, 40)
+THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, RETURNED_STRESS, VOLUME_BEFORE, ROWS = (
+    32, 33, 34, 35, 36, 37, 38, 39, 40, 41)
 """Rows of the yielding cells alone, side by side."""
 
 
