@@ -118,8 +118,8 @@ class Flight:
 
         None if there are none. Where all have that velocity the batch names none of its own. Collective.
 
-        Looks every ``LOOK`` calls. ``dt``: time between the last two remaps (s), from which the way to the next look follows. Raises
-        ``UnstableStep`` if a sphere meets material where it does not fit into the box.
+        Looks every ``LOOK`` calls. ``dt``: time between the last two remaps (s), from which the way to the next look
+        follows. Raises ``UnstableStep`` if a sphere meets material where it does not fit into the box.
         """
         self.calls += 1
         if self.count == 0 or (self.calls - 1) % LOOK:

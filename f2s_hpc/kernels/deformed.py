@@ -77,18 +77,24 @@ def to_deformed(n, row, at, s):
 
 @kernel
 def _swept_row(u0, u1, u2, u3, v0, v1, v2, v3, w0, w1, w2, w3, x0, x1, x2, x3, y0, y1, y2, y3, z0, z1, z2, z3,
-               first, second, scale, out):
+               first, second, half, scale, out):
     """Add the volume that a row of displaced faces sweeps: mean velocity of the four nodes times the area vector.
 
+    The area is that in the middle of the step, ``half`` (a step over twice the cell width) times the velocity further.
     Nodes 0 and 3, 1 and 2 lie across from each other; ``first``: diagonal from 0 to 3 of the undisplaced face,
     ``second``: from 1 to 2. Half of their cross product is the area vector of the quadrilateral, also of a bent one.
     """
     px, py, pz = first
     qx, qy, qz = second
     for i in range(out.size):
-        ax, ay, az = px + (x3[i] - x0[i]), py + (y3[i] - y0[i]), pz + (z3[i] - z0[i])
-        bx, by, bz = qx + (x2[i] - x1[i]), qy + (y2[i] - y1[i]), qz + (z2[i] - z1[i])
-        u, v, w = (u0[i] + u3[i]) + (u1[i] + u2[i]), (v0[i] + v3[i]) + (v1[i] + v2[i]), (w0[i] + w3[i]) + (w1[i] + w2[i])
+        ax = px + ((x3[i] - x0[i]) + half * (u3[i] - u0[i]))
+        ay = py + ((y3[i] - y0[i]) + half * (v3[i] - v0[i]))
+        az = pz + ((z3[i] - z0[i]) + half * (w3[i] - w0[i]))
+        bx = qx + ((x2[i] - x1[i]) + half * (u2[i] - u1[i]))
+        by = qy + ((y2[i] - y1[i]) + half * (v2[i] - v1[i]))
+        bz = qz + ((z2[i] - z1[i]) + half * (w2[i] - w1[i]))
+        u, v = (u0[i] + u3[i]) + (u1[i] + u2[i]), (v0[i] + v3[i]) + (v1[i] + v2[i])
+        w = (w0[i] + w3[i]) + (w1[i] + w2[i])
         out[i] += scale * (u * (ay * bz - az * by) + v * (az * bx - ax * bz) + w * (ax * by - ay * bx))
 
 
@@ -125,7 +131,7 @@ def sweep_faces(runs, count, window, shape, dt_over_dx, u, v, w, x, y, z, gx, gy
             _swept_row(u[a:a + n], u[b:b + n], u[c:c + n], u[d:d + n], v[a:a + n], v[b:b + n], v[c:c + n], v[d:d + n],
                        w[a:a + n], w[b:b + n], w[c:c + n], w[d:d + n], x[a:a + n], x[b:b + n], x[c:c + n], x[d:d + n],
                        y[a:a + n], y[b:b + n], y[c:c + n], y[d:d + n], z[a:a + n], z[b:b + n], z[c:c + n], z[d:d + n],
-                       first, second, scale, g[a:a + n])
+                       first, second, 0.5 * dt_over_dx, scale, g[a:a + n])
 
 
 @kernel

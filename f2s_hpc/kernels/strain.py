@@ -239,13 +239,12 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
     Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p).
     ``heating``: (share of the shock viscosity's work that heats, share of what hourglass control, remap and light-node
     exchange took that heats as plastic work does). ``displaced``: nodes are displaced by ``x``, ``y``, ``z`` (in cells)
-    since the last remap, and cells had the volume ratios ``before``; ``gx``, ``gy``, ``gz``: what their faces have swept
-    at the end of this step. ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg),
-    ``closing`` (1/s): node-shaped arrays; what the forces of this step and the losses of the last one left to be turned
-    into heat. ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[6] in units of
-    ``quantum`` (J): elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from
-    numerical losses. Returns the largest velocity-gradient norm (1/s) of the cells at least
-    half full and the flat index of that cell.
+    since the last remap, and cells had the volume ratios ``before``; ``gx``, ``gy``, ``gz``: what their faces have
+    swept at the end of this step. ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg), ``closing`` (1/s):
+    node-shaped arrays; what the forces of this step and the losses of the last one left to be turned into heat.
+    ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[6] in units of ``quantum`` (J):
+    elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from numerical losses.
+    Returns the largest velocity-gradient norm (1/s) of the cells at least half full and the flat index of that cell.
     """
     ny, nx = shape
     scratch, places = np.empty(ROWS * W), np.empty(W, dtype=np.int64)

@@ -60,6 +60,12 @@ class Setup:
         while self.clock.steps < end:
             advance(self.state, self.model, self.clock, self.ledger, 1.0, end - self.clock.steps)
 
+    def advance_to_remap(self) -> int:
+        """Step until the next remap is done; return how many steps that took."""
+        before = self.clock.steps
+        advance(self.state, self.model, self.clock, self.ledger, 1.0)
+        return self.clock.steps - before
+
     def advance_to(self, end: float) -> None:
         """Step to the time ``end`` (s) exactly."""
         while self.clock.in_cycle < end * (1.0 - 1e-12):
