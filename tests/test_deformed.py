@@ -9,7 +9,6 @@ from solver_setup import make_block, make_model, make_setup, never_yields, node_
 from f2s_hpc.fields import DISPLACEMENT, STRESS, SWEEP, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.solver import lagrange
-from f2s_hpc.solver.remap import remap_all
 
 DX = 3e-6
 MODEL = never_yields(make_model(DX))

@@ -100,9 +100,9 @@ full solver (steps limited by sound). Error: L2 norm of the difference over that
          {"thickness": "length"}),
     Case("plastic-heating", """Heat of plastic work in sheared cells (Taylor-Quinney)
 Cells in simple shear, one Lagrangian step after another. The temperature rise against the sum of the step's mean stress
-(before and after, along the plastic strain) times PEEQ increment over rho c, times the Taylor-Quinney share (round-off of the temperature), and against the closed form
-for linear hardening, (Y + H e / 2) e (order 1 of backward Euler, or better); the heat that the ledger counted. "cells" and "dx"
-stand for steps per unit shear and shear per step.""",
+(before and after, along the plastic strain) times PEEQ increment over rho c, times the Taylor-Quinney share (round-off
+of the temperature), and against the closed form for linear hardening, (Y + H e / 2) e (order 1 of backward Euler, or
+better); the heat that the ledger counted. "cells" and "dx" stand for steps per unit shear and shear per step.""",
          _plastic, (50, 100, 200), (100, 300, 1000),
          {"shear": "1.0", "rate": "1e6 1/s", "temperature": "25 degC", "material": "copper-taylor"},
          {"rate": "rate", "temperature": "temperature"}),
