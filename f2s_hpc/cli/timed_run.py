@@ -39,7 +39,8 @@ def timed(arguments: list[str]) -> int:
         code = main(arguments)
     if code == 0:
         first = min(WARM, len(wall) - 1)
-        times = {"step_s": float(mpi.maximum(typical(wall[first:]))), "busy_s": float(mpi.maximum(typical(busy[first:])))}
+        times = {"step_s": float(mpi.maximum(typical(wall[first:]))),
+                 "busy_s": float(mpi.maximum(typical(busy[first:])))}
         if mpi.is_root():
             folder = pathlib.Path(arguments[arguments.index("--out") + 1])
             (folder / "times.json").write_text(json.dumps(times) + "\n", encoding="utf-8")
