@@ -9,6 +9,7 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import force, momentum, remap, strain
+from f2s_hpc.solver import absorbing
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -33,7 +34,7 @@ def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray)
                                  state.lost, state.sweep[2])
     s = model.settings
     return force.nodal_forces(
-        runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, last_dt, model.bulk,
+        runs, count, state.cell_window(*state.boundary.pulled()), state.cell_window(), shape, model.dx, last_dt, model.bulk,
         model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
         state.stress, *state.velocity, *state.force, *state.sweep[:2], state.flat["mass_flux"],
         model.energy_quantum * 1e9, ledger_power)
@@ -44,6 +45,7 @@ def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
     runs, count = state.runs
     sums = np.zeros(4, dtype=np.int64)
     boundary = state.boundary
+    absorbing.apply_traction(state, model, dt, ledger)
     momentum.accelerate(
         runs, count, state.node_window(), state.part.cell_shape[1:], dt, model.dx, model.bulk.density,
         model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],
@@ -100,6 +102,7 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, axis: int | No
     full = ((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
     strain.face_fluxes(runs, count, state.cell_window(*full), shape, dt / model.dx, *state.velocity, *state.sweep)
     state.exchange(("volume_fraction",))
+    absorbing.lend_mass(state, model, ledger)
     state.exchange(state.carried_cells, axis=axis)
     return gradient, where
 

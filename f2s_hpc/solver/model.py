@@ -26,6 +26,7 @@ class Settings(NamedTuple):
     second_order: bool
     dust: float  # full cells
     largest_strain: float  # strain per step beyond which a light cell's increment is scaled down
+    absorbing_depth: float  # m, of the material whose static stiffness stands behind absorbing sides
 
 
 class Model(NamedTuple):
