@@ -12,8 +12,9 @@ from f2s_hpc._jit import kernel
 @kernel
 def _lent_share(lent, mass, first, p, q):
     """Mean of what four cells have lent, each times the material it holds (at most a full cell)."""
-    return 0.25 * ((lent[first] * min(mass[first], 1.0) + lent[first + p] * min(mass[first + p], 1.0))
-                   + (lent[first + q] * min(mass[first + q], 1.0) + lent[first + p + q] * min(mass[first + p + q], 1.0)))
+    a, b, c, d = first, first + p, first + q, first + p + q
+    return 0.25 * ((lent[a] * min(mass[a], 1.0) + lent[b] * min(mass[b], 1.0))
+                   + (lent[c] * min(mass[c], 1.0) + lent[d] * min(mass[d], 1.0)))
 
 
 @kernel
@@ -77,8 +78,9 @@ def outgoing_traction(runs, count, window, shape, dt, dx, density, floor, speeds
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             if on_side or inward[0, i] != 0.0:
                 inside = weights[2][k] * weights[1][j] * weights[0][i]
-                work = _add_traction(row + i, (np.int64(i), np.int64(j), np.int64(k)), inside, dt, full, floor, rates, spring, inward, free, nodal,
-                                     lent, mass, (ny, nx), force, velocity)
+                place = (np.int64(i), np.int64(j), np.int64(k))
+                work = _add_traction(row + i, place, inside, dt, full, floor, rates, spring, inward, free, nodal, lent,
+                                     mass, (ny, nx), force, velocity)
                 total += np.int64(math.floor(work / quantum + 0.5))
     return total
 
@@ -87,10 +89,10 @@ def outgoing_traction(runs, count, window, shape, dt, dx, density, floor, speeds
 def lend_mass(runs, count, owned, shape, axis, cell, outward, sweeps, mass, fraction, lent, mass_quantum):
     """Make room beside one absorbing side as its nodes moved, without moving anything through it.
 
-    The face swept ``g`` (in cells) while the cell strained to the volume V; from here on the face stands still and the
-    volume is V +- g. A full cell keeps its density: it lends the mass for which there is no room, or takes some back. In
-    a mixed cell void makes room. ``cell``: index of the cells beside the side along ``axis``; ``outward``: +1 on a high
-    side. Visits all local cells; those in ``owned`` are counted: returns the mass lent in units of ``mass_quantum``.
+    The face swept g (in cells) while the cell strained to the volume V; from here on the face stands still and the
+    volume is that without g. A full cell keeps its density: it lends the mass for which there is no room, or takes some
+    back. In a mixed cell void makes room. ``cell``: index of the cells beside the side along ``axis``; ``outward``: +1
+    on a high side. Visits all local cells; counts those in ``owned``: returns the mass lent, in ``mass_quantum``.
     """
     ny, nx = shape
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
