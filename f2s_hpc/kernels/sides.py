@@ -52,9 +52,9 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, si
     ``offsets``: where the fields start in ``memory``; ``shape``: (nz, ny, nx) of their local arrays. ``axis``: 0, 1, 2
     for x, y, z. Per side, low and high: ``rules`` NONE leaves it alone (another rank is there), MIRROR reflects with
     ``signs`` (one per field), EVEN without a change of sign, VOID writes zero, COPY repeats the edge layer; ``edges``:
-    index of the last layer inside the box. ``on_nodes``: that layer is the wall itself. ``active``: blocks (nz, ny, blocks) of ``block`` cells;
-    elsewhere all is zero. Layers of both sides take turns, since in a box thinner than the ghosts the mirror image of
-    one lies behind the other.
+    index of the last layer inside the box. ``on_nodes``: that layer is the wall itself. ``active``: blocks (nz, ny,
+    blocks) of ``block`` cells; elsewhere all is zero. Layers of both sides take turns, since in a box thinner than the
+    ghosts the mirror image of one lies behind the other.
     """
     nz, ny, nx = shape
     memory = borrowed(memory)

@@ -34,9 +34,9 @@ def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray)
                                  state.lost, state.sweep[2])
     s = model.settings
     return force.nodal_forces(
-        runs, count, state.cell_window(*state.boundary.pulled()), state.cell_window(), shape, model.dx, last_dt, model.bulk,
-        model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
-        state.stress, *state.velocity, *state.force, *state.sweep[:2], state.flat["mass_flux"],
+        runs, count, state.cell_window(*state.boundary.pulled()), state.cell_window(), shape, model.dx, last_dt,
+        model.bulk, model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"],
+        state.energy, state.stress, *state.velocity, *state.force, *state.sweep[:2], state.flat["mass_flux"],
         model.energy_quantum * 1e9, ledger_power)
 
 

@@ -66,7 +66,7 @@ def reflected(bulk: Bulk, speeds: tuple[float, float], wave: str, angle: float) 
 class Packet:
     """A wave packet that travels down: pairs of plane waves at +-``angle`` between mirrors at x = 0 and x = ``width``.
 
-    Lengths in cells. ``wavelength``; the envelope exp(-((z - centre) / length)^2) has one vertical wavelength for its length.
+    Lengths in cells. The ``length`` of the envelope exp(-((z - centre) / length)^2) is one vertical wavelength.
     """
 
     def __init__(self, wave: str, angle: float, wavelength: float, strain: float) -> None:
@@ -158,8 +158,8 @@ def _run(options: Options) -> Iterator[Measured]:
     warm_up(never_yields(make_model(1e-6, options["material"])))
     for level in options.levels:
         for side, wave, degrees, depth in choices:
-            watch, dx = Stopwatch(), options["wavelength"] / level
-            value, theory, setup = come_back(side, wave, degrees, level, dx, depth or f"{options['depth']!r} m", options)
+            watch, dx, behind = Stopwatch(), options["wavelength"] / level, depth or f"{options['depth']!r} m"
+            value, theory, setup = come_back(side, wave, degrees, level, dx, behind, options)
             name = f"{side}, {wave}, {degrees:.0f} deg" + ("" if depth else ", default depth")
             near = side == "absorbing" and degrees <= 6.0
             yield Measured(name, level, dx, value, theory, value if near else abs(value - theory),
