@@ -85,6 +85,10 @@ class Simulation:
             setattr(clock, name, value)
         for name, value in saved["limits"].items():
             setattr(clock.limits, name, value)
+        asleep = saved.get("sleep", {"floor": 0, "since": 0.0})  # checkpoints were written before there was sleep
+        clock.sleep.since = asleep["since"]
+        if asleep["floor"]:
+            self.state.set_floor(asleep["floor"])
         self.ledger.restore({name: int(text) for name, text in saved["ledger"].items()})
         if not mpi.is_root():
             clock.active_cell_steps = 0
@@ -107,6 +111,7 @@ class Simulation:
                       "dt": clock.dt, "limit": clock.limit,
                       "fastest_heavy": float(mpi.maximum(clock.fastest_heavy)),
                       "active_cell_steps": int(mpi.total(np.int64(clock.active_cell_steps)))},
+            "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,

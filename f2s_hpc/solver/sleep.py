@@ -1,0 +1,110 @@
+"""Sleeping depth: what lies deep below the surface and has come to rest is not stepped; it wakes when flow reaches it.
+
+The floor is one horizontal plane. Below it nothing is stepped and velocities are zero; what stands on it meets a rigid
+wall, as at the bottom of the box. Stress, PEEQ and mass below stay as they are, and heat still flows, there and through
+the floor, in one large step at each look.
+
+Every ``EVERY`` steps the floor rises to the highest plane that is at least ``sleeping_depth`` below the surface and has
+nothing but rest below it; the surface is the highest plane below which every plane is ``FULL`` filled. A plane is at
+rest while no node of it is faster than a small share of the particles' speed: slow enough for elastic ringing only. The
+kinetic energy of that ringing is taken out and entered in the ledger. The floor falls by ``MARGIN`` planes when a node
+among as many planes above it is ``WAKES`` times as fast. All sums over ranks are of integers, or are maxima, so any
+number of ranks finds the same floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.fields import VELOCITY
+from f2s_hpc.grid.box import GHOST
+from f2s_hpc.kernels import activity, momentum, remap
+from f2s_hpc.solver import heat
+from f2s_hpc.solver.ledger import Ledger
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+EVERY = 20
+"""Steps between two looks."""
+
+FULL = 0.9
+"""Share of a plane that is filled below the surface."""
+
+REST = 0.05
+"""Speed of rest over the particles' speed."""
+
+WAKES = 4.0
+"""Speed that wakes what sleeps, over the speed of rest."""
+
+MARGIN = 4
+"""Planes by which the floor falls, and above it in which flow is looked for."""
+
+
+@dataclass
+class Sleep:
+    """``since``: time (s) up to which heat has been conducted in what sleeps."""
+
+    since: float = 0.0
+
+
+def look(state: State, model: Model, sleep: Sleep, time: float, step: int, ledger: Ledger) -> None:
+    """Every ``EVERY`` steps: conduct heat in what sleeps up to ``time`` (s), and find the floor anew (collective).
+
+    All ghosts must be valid, as between two steps.
+    """
+    if step % EVERY:
+        return
+    if state.floor and model.settings.conduction and time > sleep.since:
+        heat.conduct_asleep(state, model, time - sleep.since)
+    sleep.since = time
+    floor = find_floor(state, model)
+    if floor > state.floor:
+        ledger.add("put_to_sleep", _stop(state, model, floor))
+    if floor != state.floor:
+        state.set_floor(floor)
+
+
+def find_floor(state: State, model: Model) -> int:
+    """Return the plane of the box (global k) below which all may sleep now; 0: nothing. Collective."""
+    s, box = model.settings, state.part.box
+    filled, speed = _planes(state)
+    low = ~(filled >= FULL * box.cells[0] * box.cells[1])
+    low[:state.floor] = False
+    surface = int(np.argmax(low)) if low.any() else low.size
+    fast = speed > s.rest_speed
+    deepest = int(np.argmax(fast)) if fast.any() else fast.size
+    floor = min(surface - round(s.sleeping_depth / model.dx), deepest - 1)
+    if state.floor and speed[state.floor:state.floor + MARGIN + 1].max() > WAKES * s.rest_speed:
+        return max(state.floor - MARGIN, 0)
+    return max(floor, state.floor)
+
+
+def _planes(state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Return the filled cells of each plane of cells of the box, and the largest speed (m/s) of each plane of nodes.
+
+    Zero for what sleeps.
+    """
+    box, start = state.part.box, state.part.start[2]
+    quanta, square = np.zeros(box.cells[2], dtype=np.int64), np.zeros(box.cells[2] + 1)
+    activity.look_at_planes(state.cell_window(), state.node_window(), state.part.cell_shape[1:], start - GHOST,
+                            state.flat["volume_fraction"], *state.velocity, quanta, square)
+    return mpi.total(quanta) / 2.0**20, np.sqrt(mpi.maximum(square))
+
+
+def _stop(state: State, model: Model, floor: int) -> int:
+    """Bring all nodes on and below ``floor`` to rest; return their kinetic energy on this rank in quanta, exact."""
+    shape = state.part.cell_shape[1:]
+    end = GHOST + floor + 1 - state.part.start[2]
+    k0, k1, *across = state.node_window()
+    window = (k0, min(k1, end), *across)
+    state.update_activity()
+    runs, count = state.runs
+    remap.nodal_masses(runs, count, window, shape, state.flat["mass"], state.flat["nodal_mass"])
+    quanta = momentum.kinetic_energy(runs, count, window, shape, state.boundary.weights, state.flat["nodal_mass"],
+                                     *state.velocity, model.energy_quantum, model.dx, model.bulk.density)
+    for name in (*VELOCITY, *(("lost_energy",) if state.lost.size > 1 else ())):
+        state.views[name][:max(end, 0)] = 0.0
+    return int(quanta)
