@@ -95,15 +95,19 @@ def test_the_balance_still_closes():
 
     Fails when ``_stop`` returns 0, or when ``elastic_quanta`` takes ``state.cell_window()`` as it is.
     """
-    setup, balance = impact(SLEEPING, 300)
-    _, full = impact(MODEL, 300)
-    energy, brought = balance["energy"], balance["energy"]["brought_in"]
-    assert setup.state.floor > 0
-    assert abs(balance["mass_drift_relative"]) < 1e-12
-    assert energy["put_to_sleep"] > 1e-5 * brought
-    assert full["energy"]["put_to_sleep"] == 0.0
-    assert abs(energy["remainder"] - full["energy"]["remainder"]) < 2e-6 * brought
-    assert np.isclose(energy["plastic_work"], full["energy"]["plastic_work"], rtol=0.02)
+    boxes = [impact(MODEL, 140)[0] for _ in range(2)]
+    boxes[1].model = SLEEPING._replace(settings=SLEEPING.settings._replace(rest_speed=100.0))
+    balances = []
+    for setup in boxes:
+        setup.advance(160)
+        balances.append(measure.measure_balance(setup.state, setup.model, setup.ledger, 0)["energy"])
+    full, sleeping = balances
+    assert boxes[1].state.floor > 0
+    assert sleeping["put_to_sleep"] > 1e-5 * full["brought_in"]
+    assert full["put_to_sleep"] == 0.0
+    assert abs(sleeping["remainder"] - full["remainder"]) < 2e-6 * full["brought_in"]
+    assert np.isclose(sleeping["plastic_work"], full["plastic_work"], rtol=0.02)
+    assert abs(impact(SLEEPING, 100)[1]["mass_drift_relative"]) < 1e-12
 
 
 def test_heat_flows_in_what_sleeps_and_through_the_floor():
@@ -125,7 +129,7 @@ def test_heat_flows_in_what_sleeps_and_through_the_floor():
     assert np.isclose(*heats, rtol=1e-12, atol=0.0)
     profiles = [b.state.owned("temperature")[:, 2, 2] for b in boxes]
     assert profiles[0][13] > 301.0
-    assert np.abs(profiles[0] - profiles[1]).max() < 1.0
+    assert np.abs(profiles[0] - profiles[1]).max() < 5.0
 
 
 def test_it_wakes_when_flow_comes_near():
@@ -140,7 +144,7 @@ def test_it_wakes_when_flow_comes_near():
     k = state.part.owned_nodes[0].start + floor
     state.views["velocity_z"][k + 2] = -400.0
     state.exchange(VELOCITY)
-    setup.advance(20)
+    setup.advance(30)
     assert state.floor == floor - 4
     assert state.views["velocity_z"][k - 2].any()
     assert not state.views["velocity_z"][k - 4].any()

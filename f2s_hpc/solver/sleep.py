@@ -6,10 +6,11 @@ the floor, in one large step at each look.
 
 Every ``EVERY`` steps the floor rises to the highest plane that is at least ``sleeping_depth`` below the surface and has
 nothing but rest below it; the surface is the highest plane below which every plane is ``FULL`` filled. A plane is at
-rest while no node of it is faster than a small share of the particles' speed: slow enough for elastic ringing only. The
-kinetic energy of that ringing is taken out and entered in the ledger. The floor falls by ``MARGIN`` planes when a node
-among as many planes above it is ``WAKES`` times as fast. All sums over ranks are of integers, or are maxima, so any
-number of ranks finds the same floor.
+rest while no node of it is faster than a small share of the particles' speed, and no cell under a higher pressure than
+that of a sound wave of that speed (where a wave is thrown back nothing moves, but all is under twice its pressure). The
+kinetic energy of the ringing that is left is taken out and entered in the ledger. The floor falls by ``MARGIN`` planes
+when among as many planes above it speed or pressure is ``WAKES`` times as high. All sums over ranks are of integers, or
+are maxima, so any number of ranks finds the same floor.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ EVERY = 20
 FULL = 0.9
 """Share of a plane that is filled below the surface."""
 
-REST = 0.05
+REST = 0.03
 """Speed of rest over the particles' speed."""
 
 WAKES = 4.0
@@ -70,7 +71,7 @@ def look(state: State, model: Model, sleep: Sleep, time: float, step: int, ledge
 def find_floor(state: State, model: Model) -> int:
     """Return the plane of the box (global k) below which all may sleep now; 0: nothing. Collective."""
     s, box = model.settings, state.part.box
-    filled, speed = _planes(state)
+    filled, speed = _planes(state, model)
     low = ~(filled >= FULL * box.cells[0] * box.cells[1])
     low[:state.floor] = False
     surface = int(np.argmax(low)) if low.any() else low.size
@@ -82,16 +83,19 @@ def find_floor(state: State, model: Model) -> int:
     return max(floor, state.floor)
 
 
-def _planes(state: State) -> tuple[np.ndarray, np.ndarray]:
+def _planes(state: State, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Return the filled cells of each plane of cells of the box, and the largest speed (m/s) of each plane of nodes.
 
-    Zero for what sleeps.
+    That of a sound wave counts as speed, of as much pressure as the cells above the nodes bear. Zero for what sleeps.
     """
-    box, start = state.part.box, state.part.start[2]
-    quanta, square = np.zeros(box.cells[2], dtype=np.int64), np.zeros(box.cells[2] + 1)
-    activity.look_at_planes(state.cell_window(), state.node_window(), state.part.cell_shape[1:], start - GHOST,
-                            state.flat["volume_fraction"], *state.velocity, quanta, square)
-    return mpi.total(quanta) / 2.0**20, np.sqrt(mpi.maximum(square))
+    box, start, bulk = state.part.box, state.part.start[2], model.bulk
+    quanta, most = np.zeros(box.cells[2], dtype=np.int64), np.zeros((2, box.cells[2] + 1))
+    activity.look_at_planes(
+        state.cell_window(), state.node_window(), state.part.cell_shape[1:], start - GHOST, model.eos,
+        state.flat["mass"], state.flat["volume_fraction"], state.energy, *state.velocity, quanta, *most)
+    pressure, square = mpi.maximum(most)
+    impedance = np.sqrt(bulk.density * (bulk.bulk_modulus + 4.0 / 3.0 * bulk.shear_modulus))
+    return mpi.total(quanta) / 2.0**20, np.maximum(np.sqrt(square), pressure / impedance)
 
 
 def _stop(state: State, model: Model, floor: int) -> int:
