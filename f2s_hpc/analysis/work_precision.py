@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from f2s_hpc.errors import F2SError
+from f2s_hpc.analysis.canvas import save
 
 _DPI = 160
 _INK, _GREY = "#1a1a1a", "#666666"
@@ -49,7 +49,7 @@ def draw_case(rows: Rows, path: pathlib.Path, title: str, subtitle: str) -> bool
     figure.text(0.02, 0.965, title, fontsize=12, fontweight="bold", color=_INK, va="top", parse_math=False)
     figure.text(0.02, 0.905, textwrap.shorten(subtitle, 105, placeholder=" ..."), fontsize=8.5, color=_GREY, va="top",
                 parse_math=False)
-    _save(figure, path)
+    save(figure, path, "plot")
     return True
 
 
@@ -79,7 +79,7 @@ def draw_overview(rows: Rows, path: pathlib.Path) -> bool:
         grid[last, column].set_xlabel("wall time (s)", color=_INK, fontsize=9)
     figure.suptitle("Error against wall time", x=0.01, ha="left", fontsize=12, fontweight="bold", color=_INK)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985), h_pad=1.2, w_pad=1.0)
-    _save(figure, path)
+    save(figure, path, "plot")
     return True
 
 
@@ -135,10 +135,3 @@ def _dress(axes: Any) -> None:
     axes.tick_params(labelsize=8, colors=_INK, which="both")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-
-
-def _save(figure: Any, path: pathlib.Path) -> None:
-    try:
-        figure.savefig(path, format="png", metadata={"Software": None})
-    except OSError as error:
-        raise F2SError(f"{path}: the plot cannot be written ({error.strerror or error})") from None

@@ -57,7 +57,7 @@ def mass_quanta(array: np.ndarray, quantum: float) -> int:
 def paint_substrate(state: State, height: float, temperature: float) -> None:
     """Fill the box up to ``height`` (m) with material at rest at ``temperature`` (K)."""
     dx = state.part.box.dx
-    k0 = state.part.start[2] - GHOST
+    k0 = state.part.offset[2]
     bottoms = (np.arange(state.part.cell_shape[0]) + k0) * dx
     share = np.clip((height - bottoms) / dx, 0.0, 1.0)
     # a layer thinner than round-off of the height is not material

@@ -9,7 +9,6 @@ import numpy as np
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import UnstableStep
-from f2s_hpc.grid.box import GHOST
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
@@ -37,7 +36,7 @@ class Limits:
 def cell_position(state: State, flat_index: int) -> tuple[int, int, int]:
     """Return the global (i, j, k) of a flat local cell index."""
     k, j, i = np.unravel_index(flat_index, state.part.cell_shape)
-    return tuple(int(a) - GHOST + s for a, s in zip((i, j, k), state.part.start))
+    return tuple(int(a) + o for a, o in zip((i, j, k), state.part.offset))
 
 
 def locate(state: State, local_value: float, global_value: float, flat_index: int) -> tuple[int, int, int]:

@@ -131,11 +131,11 @@ def make_block(cells: Sequence[int], model: Model, temperature: float = 298.15,
 
 def node_coordinates(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x, y, z (in cells, global) of all local nodes, broadcastable to node arrays [k, j, i]."""
-    x, y, z = (np.arange(n) - GHOST + s for n, s in zip(state.part.node_shape[::-1], state.part.start))
+    x, y, z = (np.arange(n) + o for n, o in zip(state.part.node_shape[::-1], state.part.offset))
     return x[None, None, :].astype(float), y[None, :, None].astype(float), z[:, None, None].astype(float)
 
 
 def cell_coordinates(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x, y, z (in cells, global) of all local cell centres, broadcastable to cell arrays [k, j, i]."""
-    x, y, z = (np.arange(n) - GHOST + s + 0.5 for n, s in zip(state.part.cell_shape[::-1], state.part.start))
+    x, y, z = (np.arange(n) + o + 0.5 for n, o in zip(state.part.cell_shape[::-1], state.part.offset))
     return x[None, None, :], y[None, :, None], z[:, None, None]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from f2s_hpc.cycles.insert import add_material
-from f2s_hpc.grid.box import GHOST
 from f2s_hpc.verify.box import Setup
 
 LEAST = 1e-9
@@ -58,7 +57,7 @@ def paint_slab(setup: Setup, bottom: float, top: float, velocity: tuple[float, f
 def _edges(setup: Setup) -> list[np.ndarray]:
     """Return the x, y, z edges (cells, global) of the local cells."""
     part = setup.state.part
-    return [np.arange(n + 1.0) - GHOST + s for n, s in zip(part.cell_shape[::-1], part.start)]
+    return [np.arange(n + 1.0) + o for n, o in zip(part.cell_shape[::-1], part.offset)]
 
 
 def _layers(z: np.ndarray, bottom: float, top: float) -> np.ndarray:
