@@ -91,6 +91,6 @@ def test_what_is_switched_off_is_not_computed(settings, called):
 
 
 def test_options_bring_their_fields():
-    assert fields.needed(True, True, True) == fields.FIELDS
+    assert fields.needed(True, True, True, True) == fields.FIELDS
     assert {f.name for f in fields.needed(False, False, False)} == BASE - {"lost_energy"}
     assert mpi.size() == 1

@@ -16,7 +16,7 @@ from f2s_hpc.particles.batch import make_batches
 from f2s_hpc.workload.expected import moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
 
-RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, "a test")
+RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, 1, "a test")
 COARSE = ["domain.cell_size=12 um", "particles.flight=eulerian"]
 
 

@@ -16,8 +16,8 @@ ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, NORM = 25, 26, 27
 """Energies per cell volume (J/m3), in the order of the sums: elastic before and after, plastic work, heat, shock
 viscosity, heat from numerical losses; then the squared norm of the gradient."""
 
-THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, RETURNED_STRESS, ROWS = (
-    32, 33, 34, 35, 36, 37, 38, 39, 40)
+THETA, TRIAL_MISES, STRAIN_BEFORE, INCREMENT, LOW, HIGH, LAST, RETURNED_STRESS, VOLUME_BEFORE, ROWS = (
+    32, 33, 34, 35, 36, 37, 38, 39, 40, 41)
 """Rows of the yielding cells alone, side by side."""
 
 
@@ -95,14 +95,20 @@ def return_chunk(flow, mass, peeq, temperature, dt, shear_modulus, place, s):
 def heat_chunk(mass, temperature, bulk, heating, dt_over_volume, hourglass, q00, q10, q01, q11, s):
     """Heat per cell volume (J/m3) of a chunk, and the temperature it gives.
 
+    Plastic work is the mean of the stresses before and after the step times the plastic strain increment, d along the
+    stress after: (sigma + 3/2 s_0 : s_1 / sigma) d / 2. That is the work that the nodes' forces do on the cell, so
+    the two differ at third order; with the stress after alone they differ at second.
     ``heating``: (share of the shock viscosity's work, share of the numerical losses); ``hourglass`` (W per
     cell); ``q``: heat (J/kg) on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1).
     """
     viscous, losses = heating
     for i in range(mass.size):
-        ratio = s[RATIO * W + i]
-        s[SHAPE_AFTER * W + i] *= ratio * ratio
-        s[POWER * W + i] = s[FLOW * W + i] * s[PLASTIC * W + i] * s[AFTER * W + i] * s[VOLUME * W + i]
+        ratio, trial = s[RATIO * W + i], s[SHAPE_AFTER * W + i]
+        step = bulk.shear_modulus * s[STRAIN * W + i]  # trial less rotated old stress has (trial - s_0)^2 = 6 step^2
+        old = 0.75 * (trial + s[SHAPE_BEFORE * W + i] - 6.0 * step * step) / max(s[MISES * W + i], 1e-300)
+        mean = 0.5 * max(s[FLOW * W + i] + old, 0.0)
+        s[SHAPE_AFTER * W + i] = trial * ratio * ratio
+        s[POWER * W + i] = mean * s[PLASTIC * W + i] * s[AFTER * W + i] * s[VOLUME * W + i]
         specific = 0.125 * (((q00[i] + q00[i + 1]) + (q10[i] + q10[i + 1])) + ((q01[i] + q01[i + 1])
                                                                               + (q11[i] + q11[i + 1])))
         lost = mass[i] * bulk.density * specific + hourglass[i] * dt_over_volume
