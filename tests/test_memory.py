@@ -63,7 +63,9 @@ BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction"
 
 @pytest.mark.parametrize("name", scene_names())
 def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
-    """No energy without Mie-Grueneisen pressure, no origin unless asked for, no losses unless they heat, no displaced mesh at a remap a step."""
+    """No energy without Mie-Grueneisen pressure, no origin unless asked for, no losses unless they heat, no
+    displaced mesh where each step is remapped.
+    """
     coarse = {"wide-100k": "80 um", "section4": "15 um", "section4-standard": "15 um"}.get(name)
     size = [f"domain.cell_size={coarse}"] if coarse else []
     for overrides, missing in (([], set()), (["numerics.loss_heating=false"], {"lost_energy"}),
