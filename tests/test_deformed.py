@@ -43,9 +43,8 @@ def stress(setup):
 
 
 def test_a_turning_mesh_sweeps_and_strains_nothing():
-    """Six steps of 0.1 rad about a skew axis: the volume ratio stays that of the first, strain of fourth order.
+    """Six steps of 0.1 rad about a skew axis: the volume ratio stays one to the bend of the faces, strain of fourth order.
 
-    The first step sweeps with the faces of the undisplaced mesh, 1 + tr(R - 1).
     On the undisplaced mesh the sixth step would strain by some 2 %. Fails when ``to_deformed`` is left out of
     ``lagrangian_step``, or ``x3[i] - x0[i]`` of ``_swept_row`` becomes 0.
     """

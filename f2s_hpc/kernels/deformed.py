@@ -53,10 +53,11 @@ def cofactors(n, row, s):
 
 
 @kernel
-def to_deformed(n, row, at, s):
+def to_deformed(n, row, at, volume, s):
     """Turn dv/dX in nine scratch rows from ``row`` on into L = (dv/dX) F^-1, with dd/dX in the nine from ``at`` on.
 
-    F^-1 is the transpose of the cofactors over the determinant.
+    F^-1 is the transpose of the cofactors over the volume ratio in scratch row ``volume``: with the volume that the
+    faces have swept, not det F of the mean gradient, stress times L times volume is what the forces do on the nodes.
     """
     for i in range(n):
         fxx, fxy, fxz = 1.0 + s[at * W + i], s[(at + 1) * W + i], s[(at + 2) * W + i]
@@ -65,9 +66,9 @@ def to_deformed(n, row, at, s):
         cxx, cxy, cxz = fyy * fzz - fyz * fzy, fyz * fzx - fyx * fzz, fyx * fzy - fyy * fzx
         cyx, cyy, cyz = fxz * fzy - fxy * fzz, fxx * fzz - fxz * fzx, fxy * fzx - fxx * fzy
         czx, czy, czz = fxy * fyz - fxz * fyy, fxz * fyx - fxx * fyz, fxx * fyy - fxy * fyx
-        volume = fxx * cxx + fxy * cxy + fxz * cxz
-        sound = volume > LEAST_VOLUME
-        share = 1.0 / volume if sound else 1.0
+        ratio = s[volume * W + i]
+        sound = ratio > LEAST_VOLUME
+        share = 1.0 / ratio if sound else 1.0
         for a in range(3):
             x, y, z = s[(row + 3 * a) * W + i], s[(row + 3 * a + 1) * W + i], s[(row + 3 * a + 2) * W + i]
             s[(row + 3 * a) * W + i] = share * (x * cxx + y * cxy + z * cxz) if sound else x
@@ -77,35 +78,38 @@ def to_deformed(n, row, at, s):
 
 @kernel
 def _swept_row(u0, u1, u2, u3, v0, v1, v2, v3, w0, w1, w2, w3, x0, x1, x2, x3, y0, y1, y2, y3, z0, z1, z2, z3,
-               first, second, half, scale, out):
+               first, second, keep, half, scale, out):
     """Add the volume that a row of displaced faces sweeps: mean velocity of the four nodes times the area vector.
 
     The area is that in the middle of the step, ``half`` (a step over twice the cell width) times the velocity further.
+    ``keep``: 1, or 0 to forget displacement and volume from before the step.
     Nodes 0 and 3, 1 and 2 lie across from each other; ``first``: diagonal from 0 to 3 of the undisplaced face,
     ``second``: from 1 to 2. Half of their cross product is the area vector of the quadrilateral, also of a bent one.
     """
     px, py, pz = first
     qx, qy, qz = second
     for i in range(out.size):
-        ax = px + ((x3[i] - x0[i]) + half * (u3[i] - u0[i]))
-        ay = py + ((y3[i] - y0[i]) + half * (v3[i] - v0[i]))
-        az = pz + ((z3[i] - z0[i]) + half * (w3[i] - w0[i]))
-        bx = qx + ((x2[i] - x1[i]) + half * (u2[i] - u1[i]))
-        by = qy + ((y2[i] - y1[i]) + half * (v2[i] - v1[i]))
-        bz = qz + ((z2[i] - z1[i]) + half * (w2[i] - w1[i]))
+        ax = px + (keep * (x3[i] - x0[i]) + half * (u3[i] - u0[i]))
+        ay = py + (keep * (y3[i] - y0[i]) + half * (v3[i] - v0[i]))
+        az = pz + (keep * (z3[i] - z0[i]) + half * (w3[i] - w0[i]))
+        bx = qx + (keep * (x2[i] - x1[i]) + half * (u2[i] - u1[i]))
+        by = qy + (keep * (y2[i] - y1[i]) + half * (v2[i] - v1[i]))
+        bz = qz + (keep * (z2[i] - z1[i]) + half * (w2[i] - w1[i]))
         u, v = (u0[i] + u3[i]) + (u1[i] + u2[i]), (v0[i] + v3[i]) + (v1[i] + v2[i])
         w = (w0[i] + w3[i]) + (w1[i] + w2[i])
-        out[i] += scale * (u * (ay * bz - az * by) + v * (az * bx - ax * bz) + w * (ax * by - ay * bx))
+        out[i] = keep * out[i] + scale * (u * (ay * bz - az * by) + v * (az * bx - ax * bz) + w * (ax * by - ay * bx))
 
 
 @kernel
-def sweep_faces(runs, count, window, shape, dt_over_dx, u, v, w, x, y, z, gx, gy, gz, before):
-    """Add to ``gx``, ``gy``, ``gz`` the volume (in cells) that each low face of a cell sweeps in a further step.
+def sweep_faces(runs, count, window, shape, displaced, dt_over_dx, u, v, w, x, y, z, gx, gy, gz, before):
+    """Add to ``gx``, ``gy``, ``gz`` the volume (in cells) that each low face of a cell sweeps in a step.
 
-    As :func:`f2s_hpc.kernels.strain.face_fluxes` on the mesh whose nodes are displaced by ``x``, ``y``, ``z`` (in
-    cells); node arrays and face arrays have the same shape. ``before`` takes the volume ratios before the step.
+    ``gx[k, j, i]`` belongs to the face between cells i - 1 and i; node and face arrays have the same shape. The nodes
+    are displaced by ``x``, ``y``, ``z`` (in cells), and ``before`` takes the volume ratios before the step; if not
+    ``displaced`` this is the first step after a remap, and none of them is read.
     """
     ny, nx = shape
+    keep = 1.0 if displaced else 0.0
     scale = 0.125 * dt_over_dx
     up, over = (nx + 1) * (ny + 1), nx + 1
     u, v, w, x, y, z = borrowed(u), borrowed(v), borrowed(w), borrowed(x), borrowed(y), borrowed(z)
@@ -119,8 +123,9 @@ def sweep_faces(runs, count, window, shape, dt_over_dx, u, v, w, x, y, z, gx, gy
             continue
         a, n = (k * (ny + 1) + j) * (nx + 1) + start, last - start
         # (runs come in rising order: the high faces are still those of before)
-        volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[a + over:a + over + n], gz[a:a + n],
-                      gz[a + up:a + up + n], before[a:a + n])
+        if displaced:
+            volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[a + over:a + over + n], gz[a:a + n],
+                          gz[a + up:a + up + n], before[a:a + n])
         for axis in range(3):
             g = gx if axis == 0 else (gy if axis == 1 else gz)
             # seen along the axis, the two others in cyclic order
@@ -131,7 +136,7 @@ def sweep_faces(runs, count, window, shape, dt_over_dx, u, v, w, x, y, z, gx, gy
             _swept_row(u[a:a + n], u[b:b + n], u[c:c + n], u[d:d + n], v[a:a + n], v[b:b + n], v[c:c + n], v[d:d + n],
                        w[a:a + n], w[b:b + n], w[c:c + n], w[d:d + n], x[a:a + n], x[b:b + n], x[c:c + n], x[d:d + n],
                        y[a:a + n], y[b:b + n], y[c:c + n], y[d:d + n], z[a:a + n], z[b:b + n], z[c:c + n], z[d:d + n],
-                       first, second, 0.5 * dt_over_dx, scale, g[a:a + n])
+                       first, second, keep, 0.5 * dt_over_dx, scale, g[a:a + n])
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Lagrangian step of the cells: face volume fluxes, velocity gradient, stress and heating."""
+"""Lagrangian step of the cells: velocity gradient, stress and heating."""
 
 from __future__ import annotations
 
@@ -31,38 +31,6 @@ from f2s_hpc.kernels.plasticity import (
 from f2s_hpc.kernels.scratch import W
 from f2s_hpc.kernels.skin import surface_strain
 from f2s_hpc.materials.pressure import pressure, stored_energy
-
-
-@kernel
-def _mean_of_four(a, b, c, d, quarter, out):
-    """A quarter of the sum of four rows, scaled."""
-    for i in range(out.size):
-        out[i] = quarter * ((a[i] + b[i]) + (c[i] + d[i]))
-
-
-@kernel
-def face_fluxes(runs, count, window, shape, dt_over_dx, u, v, w, gx, gy, gz):
-    """Volume (in cells) that each low face of a cell sweeps in the step: the mean of its four nodes' velocity.
-
-    ``gx[k, j, i]`` belongs to the face between cells i - 1 and i; the arrays have the shape of node arrays.
-    The divergence of these fluxes is the mean-gradient divergence times dt, so strain and remap agree.
-    """
-    ny, nx = shape
-    quarter = 0.25 * dt_over_dx
-    up, over = (nx + 1) * (ny + 1), nx + 1
-    u, v, w, gx, gy, gz = borrowed(u), borrowed(v), borrowed(w), borrowed(gx), borrowed(gy), borrowed(gz)
-    for r in range(count):
-        k, j = runs[r, 0], runs[r, 1]
-        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
-            continue
-        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        if last <= first:
-            continue
-        a, n = (k * (ny + 1) + j) * (nx + 1) + first, last - first
-        b, c, d = a + over, a + up, a + up + over
-        _mean_of_four(u[a:a + n], u[c:c + n], u[b:b + n], u[d:d + n], quarter, gx[a:a + n])
-        _mean_of_four(v[a:a + n], v[a + 1:a + n + 1], v[c:c + n], v[c + 1:c + n + 1], quarter, gy[a:a + n])
-        _mean_of_four(w[a:a + n], w[a + 1:a + n + 1], w[b:b + n], w[b + 1:b + n + 1], quarter, gz[a:a + n])
 
 
 @kernel
@@ -277,8 +245,8 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
                 gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, TRIAL, s)
                 gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, TRIAL + 3, s)
                 gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, TRIAL + 6, s)
-                to_deformed(n, GRADIENT, TRIAL, s)
                 s[VOLUME_BEFORE * W:VOLUME_BEFORE * W + n] = before[a:a + n]
+                to_deformed(n, GRADIENT, TRIAL, VOLUME_BEFORE, s)
             else:
                 s[VOLUME_BEFORE * W:VOLUME_BEFORE * W + n] = 1.0
             volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[b:b + n], gz[a:a + n], gz[c:c + n],

@@ -99,11 +99,10 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     s = model.settings
     sums = np.zeros(6, dtype=np.int64)
     full = state.cell_window((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
-    if displaced:
-        deformed.sweep_faces(runs, count, full, shape, dt / model.dx, *state.velocity, *state.displacement,
-                             *state.sweep, state.flat["volume_flux"])
-    else:
-        strain.face_fluxes(runs, count, full, shape, dt / model.dx, *state.velocity, *state.sweep)
+    # (before the first step there is no displacement, nor memory for one where each step is remapped)
+    deformed.sweep_faces(runs, count, full, shape, displaced, dt / model.dx, *state.velocity,
+                         *(state.displacement if displaced else state.velocity), *state.sweep,
+                         state.flat["volume_flux"])
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, model.dx, s.largest_strain, model.bulk, model.eos, model.flow,
         (float(s.viscous_heating), float(s.loss_heating)), state.flat["mass"], state.flat["volume_fraction"],
