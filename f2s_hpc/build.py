@@ -37,7 +37,8 @@ def build_model(scene: Scene) -> Model:
         eos = params.MieGrueneisen(m.density, m.pressure.sound_speed, m.pressure.slope_s, m.pressure.gamma)
     speed = max(scene.top_speed, 1.0)
     settings = Settings(
-        courant=n.courant, remap_courant=n.remap_courant, strain_per_step=n.strain_per_step,
+        courant=n.courant, remap_courant=n.remap_courant, steps_per_remap=n.steps_per_remap,
+        strain_per_remap=n.strain_per_remap, strain_per_step=n.strain_per_step,
         viscosity=(n.shock_viscosity_linear, n.shock_viscosity_quadratic), viscous_heating=n.viscous_heating,
         loss_heating=n.loss_heating, hourglass=n.hourglass, exchange_strength=n.exchange_strength,
         exchange_mass_limit=n.exchange_mass_limit, light_mass_floor=n.light_mass_floor,
@@ -56,7 +57,7 @@ def build_state(scene: Scene, ranges: Ranges | None = None) -> State:
     sides = {side: getattr(scene.domain.faces, side) for side in SIDES}
     n = scene.numerics
     return State(Decomposition(box, ranges=ranges), sides,
-                 scene.mie_grueneisen, n.loss_heating, scene.output.origin, n.active_rows)
+                 scene.mie_grueneisen, n.loss_heating, scene.output.origin, n.active_rows, n.steps_per_remap > 1)
 
 
 def build_ledger(model: Model) -> Ledger:

@@ -72,12 +72,18 @@ FIELDS: tuple[Field, ...] = (
     _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange"),
     _work("force_y", "N", "y force on the node; likewise"),
     _work("force_z", "N", "z force on the node; likewise"),
-    _work("sweep_x", "1", "volume (in cells) swept by the low x face of the cell; before, viscous pressure (Pa)"),
-    _work("sweep_y", "1", "volume (in cells) swept by the low y face of the cell; before, hourglass power (W)"),
-    _work("sweep_z", "1", "volume (in cells) swept by the low z face of the cell; before, lost energy (J/kg)"),
+    _work("sweep_x", "1", "volume (in cells) swept by the low x face of the cell since the last remap"),
+    _work("sweep_y", "1", "volume (in cells) swept by the low y face of the cell since the last remap"),
+    _work("sweep_z", "1", "volume (in cells) swept by the low z face of the cell since the last remap"),
+    _work("displacement_x", "1", "x displacement (in cells) of the node since the last remap (several steps a remap)"),
+    _work("displacement_y", "1", "y displacement of the node; likewise"),
+    _work("displacement_z", "1", "z displacement of the node; likewise"),
+    _work("viscous_pressure", "Pa", "shock viscosity of the cell in the present forces"),
+    _work("hourglass_power", "W", "power that hourglass control takes in the cell in the present forces"),
     _work("volume_flux", "1", "material volume (in cells) through the low face in this sweep; heat in conduction"),
     _work("mass_flux", "1", "mass (in full cells) through the low face of the cell in this sweep; before, divergence"),
-    _work("dual_flux", "1", "mass (in full nodes) through the low side of the node in the present sweep"),
+    _work("dual_flux", "1", "mass (in full nodes) through the low side of the node in the present sweep; before, lost "
+          "energy of the node (J/kg)"),
 )
 
 BY_NAME = {field.name: field for field in FIELDS}
@@ -86,15 +92,17 @@ STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stre
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
+DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
 ORIGIN = "particle_fraction"
 
 
-def needed(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False) -> tuple[Field, ...]:
+def needed(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False,
+           displaced: bool = False) -> tuple[Field, ...]:
     """Return the fields that a scene needs; the rest are neither allocated nor exchanged.
 
     ``loss_heating``: do numerical losses become heat? ``origin``: does the scene ask where each cell's material came
-    from?
+    from? ``displaced``: may several steps go by between two remaps?
     """
     left_out = {name for name, asked in (("internal_energy", mie_grueneisen), ("lost_energy", loss_heating),
-                                         (ORIGIN, origin)) if not asked}
+                                         (ORIGIN, origin), *((d, displaced) for d in DISPLACEMENT)) if not asked}
     return tuple(f for f in FIELDS if f.name not in left_out)

@@ -21,11 +21,12 @@ class State:
     """
 
     def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
-                 loss_heating: bool = True, origin: bool = False, active_rows: bool = True) -> None:
+                 loss_heating: bool = True, origin: bool = False, active_rows: bool = True,
+                 displaced: bool = False) -> None:
         self.decomposition = decomposition
         self.active_rows = active_rows
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen, loss_heating, origin)
+        self.fields = fields.needed(mie_grueneisen, loss_heating, origin, displaced)
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}
@@ -33,6 +34,8 @@ class State:
         names = set(self.views)
         self.moving_cells = tuple(f.name for f in self.fields if f.advected and f.location == fields.CELL)
         self.carried_cells = tuple(n for n in self.moving_cells if n not in ("mass", "volume_fraction"))
+        self.strained_cells = ("volume_fraction", *(n for n in self.carried_cells if n in (*fields.STRESS,
+                                                                                          "internal_energy")))
         self.saved = tuple(f.name for f in self.fields if f.saved)
         self.ghosted = tuple(f.name for f in self.fields if f.ghosted)
         self.empty = np.zeros(1)
@@ -42,6 +45,7 @@ class State:
         self.velocity = tuple(self.flat[n] for n in fields.VELOCITY)
         self.force = tuple(self.flat[n] for n in fields.FORCE)
         self.sweep = tuple(self.flat[n] for n in fields.SWEEP)
+        self.displacement = tuple(self.flat.get(n, self.empty) for n in fields.DISPLACEMENT)
         self._prepare_activity()
 
     # --- active blocks -----------------------------------------------------------------------------

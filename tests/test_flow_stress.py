@@ -48,7 +48,7 @@ def elementary(x, out):
 
 
 def test_elementary_functions_are_as_exact_as_they_say():
-    """Against the mathematical library over 600 decades; fails when the coefficient 1 / 720 becomes 1 / 721."""
+    """Against the mathematical library over 600 decades; fails when 0.0083... of ``exponential`` becomes 0.0084."""
     x = np.concatenate([np.linspace(-690.0, 690.0, 20001), np.linspace(-0.01, 0.01, 2001)])
     out = np.empty((3, x.size))
     elementary(x, out)
@@ -118,7 +118,7 @@ def test_johnson_cook_matches_the_table(row):
 def test_slopes_match_central_differences(name, rng):
     """Both slopes at random states away from the reference rates.
 
-    Fails when ``slope_strain += dr * decades`` is dropped.
+    Fails when ``r_slope * decades`` of ``flow_stress`` is dropped.
     """
     flow, _ = BY_HAND[name]
     for eps, rate, kelvin in zip(10 ** rng.uniform(-3, 1.5, 100), 10 ** rng.uniform(-5, 9, 100),
@@ -151,7 +151,7 @@ def test_return_map_matches_a_bracketing_root_finder(name, rng):
 
     Flow stress to 1e-10 of it (or, where heat leaves almost no strength, 1e-13 of the trial stress, the solver's
     tolerance), strain increment to the same; never NaN, and fewer iterations than allowed.
-    Fails when ``proposal = 0.5 * (low + high)`` becomes ``proposal = low``, or ``eps + increment`` becomes ``eps``.
+    Fails when ``3.0 * p`` of ``fourth_order`` becomes ``6.0 * p``, or ``eps + d`` of ``return_step`` becomes ``eps``.
     """
     flow, by_hand = BY_HAND[name]
     count = 6667
@@ -178,7 +178,7 @@ def test_return_map_matches_a_bracketing_root_finder(name, rng):
 
 @pytest.mark.parametrize("flow", [GE, JOHNSON_COOK, LINEAR, Elastic()], ids=lambda flow: type(flow).__name__)
 def test_nothing_yields_below_the_yield_stress(flow):
-    """Fails when ``trial <= static`` in ``return_map`` becomes ``trial <= 0.5 * static``."""
+    """Fails when ``trial <= theta * h`` in ``return_map`` becomes ``trial <= 0.5 * theta * h``."""
     static = flow_stress(flow, 0.3, 0.0, 400.0)[0]
     assert return_map(flow, 0.999999 * static, SHEAR_MODULUS, 0.3, 1e-10, 400.0, 1e-3)[0] == 0.0
     if not isinstance(flow, Elastic):
@@ -192,7 +192,7 @@ def test_elastic_material_never_yields():
 
 @pytest.mark.parametrize("guess", [0.0, -1.0, 1e300, math.nan, math.inf])
 def test_any_guess_gives_the_same_root(guess):
-    """Fails when ``guess if low < guess < high else 0.5 * high`` becomes ``guess``."""
+    """Fails when ``near = guess if ... else widest`` of ``return_start`` becomes ``near = guess``."""
     args = (GE, 2e9, SHEAR_MODULUS, 0.0, 1e-10, 300.0)
     assert return_map(*args, guess)[0] == pytest.approx(return_map(*args, 0.005)[0], rel=1e-11)
 
@@ -202,7 +202,7 @@ def test_linear_hardening_has_its_closed_form():
     increment, stress, iterations = return_map(LINEAR, 3e9, SHEAR_MODULUS, 0.2, 1e-9, 300.0, 0.0)
     assert increment == pytest.approx((3e9 - 420e6) / (3.0 * SHEAR_MODULUS + 100e6), rel=1e-12)
     assert stress == pytest.approx(420e6 + 100e6 * increment, rel=1e-12)
-    assert iterations <= 2
+    assert iterations == 1
 
 
 def test_johnson_cook_keeps_its_limits_of_temperature():

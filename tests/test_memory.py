@@ -63,15 +63,18 @@ BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction"
 
 @pytest.mark.parametrize("name", scene_names())
 def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
-    """No energy without Mie-Grueneisen pressure, no origin unless asked for, no losses unless they heat."""
+    """No energy without Mie-Grueneisen pressure, no origin unless asked for, no losses unless they heat, no
+    displaced mesh where each step is remapped.
+    """
     coarse = {"wide-100k": "80 um", "section4": "15 um", "section4-standard": "15 um"}.get(name)
     size = [f"domain.cell_size={coarse}"] if coarse else []
-    for overrides, missing in (([], set()), (["numerics.loss_heating=false"], {"lost_energy"})):
+    for overrides, missing in (([], set()), (["numerics.loss_heating=false"], {"lost_energy"}),
+                               (["numerics.steps_per_remap=1"], set(fields.DISPLACEMENT))):
         state = build_state(load_scene(name, [*size, *overrides]))
         assert set(state.views) == BASE - missing, name
         cells = sum(view.size for view in state.views.values())
         assert state.pool.memory.size < cells + 1024 * len(state.views)
-    assert len(BASE) == 26 - 2
+    assert len(BASE) == 31 - 2
 
 
 @pytest.mark.parametrize(("settings", "called"), [
@@ -91,6 +94,6 @@ def test_what_is_switched_off_is_not_computed(settings, called):
 
 
 def test_options_bring_their_fields():
-    assert fields.needed(True, True, True) == fields.FIELDS
-    assert {f.name for f in fields.needed(False, False, False)} == BASE - {"lost_energy"}
+    assert fields.needed(True, True, True, True) == fields.FIELDS
+    assert {f.name for f in fields.needed(False, False, False)} == BASE - {"lost_energy", *fields.DISPLACEMENT}
     assert mpi.size() == 1

@@ -16,7 +16,7 @@ from f2s_hpc.particles.batch import make_batches
 from f2s_hpc.workload.expected import moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
 
-RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, "a test")
+RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, 1, "a test")
 COARSE = ["domain.cell_size=12 um", "particles.flight=eulerian"]
 
 
@@ -94,7 +94,7 @@ def test_fit_finds_the_rates_it_was_made_from():
         for owned, ghosts in ((6000, 9000), (25_000, 18_000), (100_000, 40_000)):
             rows.append((kind, owned, ghosts))
             times.append(2e-3 + (7e-7, 5e-7)[kind] * (owned + 0.4 * ghosts))
-    found = measured._fitted(rows, times, [SOLID, FLYING], ((0, 3),), 1e9)
+    found = measured._fitted(rows, times, [SOLID, FLYING], (((0, 3),), 1), 1e9)
     assert found.per_step == pytest.approx(2e-3, rel=1e-6)
     assert found.per_cell == {SOLID: pytest.approx(7e-7), FLYING: pytest.approx(5e-7)}
     assert found.ghost_share == pytest.approx(0.4)

@@ -127,10 +127,10 @@ def test_plastic_work_heats_to_round_off():
 
 
 def test_radial_return_solves_random_states():
-    """Fails when ``1e-13 * trial`` of ``return_map`` becomes ``1e-9 * trial``, or ``MAX_ITERATIONS`` becomes 20."""
+    """Fails when ``_NEAR`` becomes 5e-2, or ``theta * (hardened * bend`` of ``return_step`` loses ``theta``."""
     names = ("Ge", "Johnson-Cook", "linear hardening")
     limits = {f"{name}: {what}": limit for name in names for what, limit in (
-        ("flow stress", 1e-11), ("3 G increment over trial stress", 1e-12), ("iterations", 79))}
+        ("flow stress", 1e-11), ("3 G increment over trial stress", 1e-12), ("iterations", 8))}
     check(measure("radial-return", "resolutions=3000,10000"), limits)
 
 
@@ -148,7 +148,7 @@ def test_rows_are_the_same_on_every_rank(shared_path):
                         shared_path, shared_path / "rows.json") == 1  # at 20 the shear's steps are not small
     rows = json.loads((shared_path / "rows.json").read_text(encoding="utf-8"))
     errors = {(row["case"], row["quantity"], row["resolution"]): row["error"] for row in rows}
-    assert errors["elastic-wave", "stress, L2", 16] == pytest.approx(5.20762e-3, rel=1e-5)
+    assert errors["elastic-wave", "stress, L2", 16] == pytest.approx(2.57594e-3, rel=1e-5)
     assert errors["rotating-block", "von Mises stress, L1", 16] < 0.1
     mine = [row["error"] for row in measure("rotating-block", "resolutions=16")]
     assert all(other == mine for other in mpi.all_gather(mine))

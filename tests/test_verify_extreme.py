@@ -79,15 +79,15 @@ def test_courant_numbers_hold_beyond_their_defaults():
     sound, = special.courant("courant", extreme.impact(), False, ())
     crossed, = special.remap_courant("crossed", extreme.impact(), False, ())
     assert sound.verdict == crossed.verdict == watch.STABLE
-    assert sound.reason == "courant up to 0.8 holds (default 0.5)"
+    assert sound.reason == "courant up to 0.9 holds (default 0.7)"
     assert crossed.reason == "remap_courant up to 0.45 holds (default 0.25)"
 
 
 def test_a_step_beyond_the_limit_is_found_unstable(monkeypatch):
     """1.3 times the crossing time of sound does not hold, and the report names it; fails when nothing is watched."""
-    monkeypatch.setitem(special._COURANT, False, (0.5, 1.3))
+    monkeypatch.setitem(special._COURANT, False, (0.7, 1.3))
     outcome, = special.courant("courant", extreme.impact(), False, ())
-    assert outcome.reason.startswith("courant up to 0.5 holds (default 0.5); 1.3 does not: ")
+    assert outcome.reason.startswith("courant up to 0.7 holds (default 0.7); 1.3 does not: ")
 
 
 @pytest.mark.parametrize("setting", ["exchange_strength=0.16", "light_mass_floor=0.15"])

@@ -1,4 +1,4 @@
-"""The counting process: one step of a saved patch in plain Python, its tallies as JSON on standard output.
+"""The counting process: steps of a saved patch up to a remap in plain Python, their tallies as JSON on standard output.
 
     NUMBA_DISABLE_JIT=1 python -m f2s_hpc.bench.count PATCH.npz
 
@@ -18,15 +18,15 @@ from f2s_hpc.bench.hook import hooked
 
 
 def count(path: str) -> dict[str, dict]:
-    """Return, per kernel, the tally of one step of the patch in the file ``path``."""
+    """Return the steps of the patch in the file ``path`` up to its next remap, and the tally of each kernel."""
     with np.load(path) as file:
         saved = {name: file[name] for name in file.files}
     setup = states.tiled(saved, states.model_of(), (1, 1))
     counting.stand_in_for_libraries()
     counter = counting.Counter(setup.state.pool.memory, setup.state.active_cells())
     with hooked(counter.wrap), np.errstate(all="ignore"):
-        setup.advance(1)
-    return {name: asdict(tally) for name, tally in counter.tallies.items()} | {"active": counter.active}
+        steps = setup.advance_to_remap()
+    return {name: asdict(tally) for name, tally in counter.tallies.items()} | {"active": counter.active, "steps": steps}
 
 
 if __name__ == "__main__":

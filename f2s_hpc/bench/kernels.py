@@ -28,8 +28,8 @@ SIZES = {"S": (1, 1), "M": (2, 2), "L": (4, 4), "XL": (8, 8)}
 
 _OF_A_RANK = ("OMPI_COMM", "OMPI_UNIVERSE", "PMI", "SLURM_")
 
-STEPS = 12
-"""Steps measured at least: each of the six orders of the sweeps twice. A kernel's figure is its least step."""
+STRETCHES = 8
+"""Stretches from remap to remap measured at least. A kernel's figure is its least one."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Row:
     active_cells: int
     field_bytes: int
     kernel: str
-    calls: int
+    calls: float
     nanoseconds: float
     million_cell_steps_per_s: float
     bytes: float | None = None
@@ -96,40 +96,43 @@ def count_work(name: str, saved: dict[str, np.ndarray]) -> dict[str, dict]:
     return mpi.run_together(count)
 
 
-def time_steps(setup: Setup, least_seconds: float = 1.0) -> tuple[dict[str, float], dict[str, int], float, int]:
-    """Return least seconds and calls per kernel and step, least seconds of the whole step, and mean active cells.
+def time_steps(setup: Setup, least_seconds: float = 1.0) -> tuple[dict[str, float], dict[str, float], float, int, int]:
+    """Return per step: least seconds and calls of each kernel, least seconds of the whole; then active cells, steps.
 
-    Seconds are CPU time of the slowest rank. Takes at least ``STEPS`` steps and ``least_seconds``. Collective.
+    Seconds are CPU time of the slowest rank, over the steps from remap to remap: of those stretches that have the most
+    common number of steps, which comes last. Takes at least ``STRETCHES`` of them and ``least_seconds``. Collective.
     """
     watches = Stopwatches()
-    least: dict[str, float] = {}
-    calls: dict[str, int] = {}
-    whole, steps, spent = np.inf, 0, 0.0
-    before = setup.clock.active_cell_steps
+    found: list[tuple[int, float, dict[str, float], dict[str, int]]] = []
+    spent, before = 0.0, (setup.clock.active_cell_steps, setup.clock.steps)
     with hooked(watches.wrap):
-        setup.advance(1)
+        setup.advance_to_remap()
         watches.read()
-        while steps < STEPS or spent < least_seconds:
+        while len(found) < STRETCHES or spent < least_seconds:
             mpi.barrier()
             start = time.thread_time()
-            setup.advance(1)
+            steps = setup.advance_to_remap()
             one = float(mpi.maximum(time.thread_time() - start))
-            seconds, calls = watches.read()
-            for name, value in seconds.items():
-                least[name] = min(least.get(name, np.inf), value)
-            whole, steps, spent = min(whole, one), steps + 1, spent + one
-    active = round(int(mpi.total(np.int64(setup.clock.active_cell_steps - before))) / (steps + 1))
-    return least, calls, whole, active
+            found.append((steps, one, *watches.read()))
+            spent += one
+    common = int(np.bincount([steps for steps, *_ in found]).argmax())
+    alike = [stretch for stretch in found if stretch[0] == common]
+    names = {name for stretch in alike for name in stretch[2]}
+    least = {name: min(seconds.get(name, np.inf) for _, _, seconds, _ in alike) / common for name in names}
+    calls = {name: number / common for name, number in alike[-1][3].items()}
+    active, taken = setup.clock.active_cell_steps - before[0], setup.clock.steps - before[1]
+    return (least, calls, min(one for _, one, _, _ in alike) / common, round(int(mpi.total(np.int64(active))) / taken),
+            common)
 
 
 def rows_of(state: str, size: str, setup: Setup, work: dict[str, dict] | None, machine: Machine) -> list[Row]:
     """Return the rows of one state at one size, the whole step first, then the kernels by their time. Collective."""
-    least, calls, whole, active = time_steps(setup)
+    least, calls, whole, active, steps = time_steps(setup)
     field_bytes = sum(mpi.all_gather(setup.state.pool.memory.nbytes))
     share = active / mpi.size()
     rows, total_bytes, total_operations = [], 0.0, 0.0
 
-    def row(name: str, number: int, seconds: float, traffic: float | None, operations: float | None) -> Row:
+    def row(name: str, number: float, seconds: float, traffic: float | None, operations: float | None) -> Row:
         cost = seconds / share
         limits = (state, size, mpi.size(), active, field_bytes, name, number, 1e9 * cost, 1e-6 / cost if cost else 0.0)
         if traffic is None or cost == 0.0:
@@ -142,13 +145,13 @@ def rows_of(state: str, size: str, setup: Setup, work: dict[str, dict] | None, m
         if tally is None or not tally["bulk"]:
             rows.append(row(name, calls[name], least[name], None, None))
             continue
-        visits = tally["calls"] / tally["cells"]
+        visits = tally["calls"] / tally["cells"] / work["steps"]
         traffic, operations = tally["bytes"] * visits, tally["operations"] * visits
         total_bytes, total_operations = total_bytes + traffic, total_operations + operations
         rows.append(row(name, calls[name], least[name], traffic, operations))
     rows.append(row(PYTHON, 1, max(whole - sum(least.values()), 0.0), None, None))
     counted = (total_bytes, total_operations) if work else (None, None)
-    return [row(WHOLE_STEP, 1, whole, *counted), *rows]
+    return [row(WHOLE_STEP, 1 / steps, whole, *counted), *rows]
 
 
 def run(names: Sequence[str], sizes: Sequence[str], counted: bool = True, say=print) -> tuple[Machine, list[Row]]:
@@ -182,10 +185,10 @@ def table(rows: Sequence[Row]) -> str:
     first = rows[0]
     title = (f"\n{first.state}, size {first.size}: {first.active_cells:,} active cells, "
              f"{1e-6 * first.field_bytes:.1f} MB of fields, {first.ranks} rank{'s' if first.ranks > 1 else ''}")
-    head = (f"{'per active cell-step and core':30s} {'calls':>5} {'ns':>8} {'M/s':>8} {'bytes':>7} {'flops':>7} "
+    head = (f"{'per active cell-step and core':30s} {'calls':>6} {'ns':>8} {'M/s':>8} {'bytes':>7} {'flops':>7} "
             f"{'GB/s':>6} {'GF/s':>6} {'roofline':>8}")
     lines = [title, head]
-    lines += [f"{r.kernel:30s} {r.calls:5d} {r.nanoseconds:8.2f} {r.million_cell_steps_per_s:8.2f} "
+    lines += [f"{r.kernel:30s} {r.calls:6.2f} {r.nanoseconds:8.2f} {r.million_cell_steps_per_s:8.2f} "
               f"{_number(r.bytes, '.0f'):>7} {_number(r.operations, '.0f'):>7} {_number(r.gigabytes_per_s, '.1f'):>6} "
               f"{_number(r.gigaflops, '.1f'):>6} {_number(r.roofline, '.1%'):>8}" for r in rows]
     return "\n".join(lines)

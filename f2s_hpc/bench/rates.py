@@ -32,7 +32,7 @@ TILES = ((1, 1), (2, 2), (4, 4), (8, 8))
 can be told apart."""
 
 KINDS = {SOLID: "deposit", FLYING: "flying"}
-STEPS = 18
+STRETCHES = 10
 
 
 def model_for(scene: Scene) -> Model:
@@ -45,10 +45,10 @@ def model_for(scene: Scene) -> Model:
 def _step_seconds(setup: Setup) -> float:
     """Return the CPU time of a step, averaged as the trial runs are that the prediction is held against."""
     seconds = []
-    for _ in range(STEPS):
+    for _ in range(STRETCHES):
         start = time.thread_time()
-        setup.advance(1)
-        seconds.append(time.thread_time() - start)
+        steps = setup.advance_to_remap()
+        seconds.append((time.thread_time() - start) / steps)
     return typical(seconds[2:])
 
 
@@ -60,10 +60,11 @@ def _active(setup: Setup) -> tuple[int, int]:
     return owned, local - owned
 
 
-def _exchanges(setup: Setup) -> tuple[tuple[float, float], ...]:
-    """Return how many cell and node fields each ghost exchange of a step carries: asked of a real step.
+def _exchanges(setup: Setup) -> tuple[tuple[tuple[float, float], ...], int]:
+    """Return how many cell and node fields each ghost exchange from remap to remap carries, and the steps in between.
 
-    Fields of which only some layers go count by their share of all, those that go along one axis by a third.
+    Asked of real steps. Fields of which only some layers go count by their share of all, those that go along one axis
+    by a third.
     """
     found: list[tuple[float, float]] = []
 
@@ -80,8 +81,8 @@ def _exchanges(setup: Setup) -> tuple[tuple[float, float], ...]:
         return noted
 
     with hooked(wrap):
-        setup.advance(1)
-    return tuple(found)
+        steps = setup.advance_to_remap()
+    return tuple(found), steps
 
 
 def _packing_rate(memory: np.ndarray) -> float:
@@ -111,7 +112,7 @@ def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda
     say("measuring the rates of the step on this machine, some half a minute")
     model = model_for(scene)
     rows, times, kinds = [], [], list(KINDS)
-    exchanges, packing = (), 0.0
+    exchanges, packing = ((), 1), 0.0
     for kind, state in KINDS.items():
         if kind == FLYING:
             # how many cells of a particle its surface cuts decides what it costs: the scene's own particles and cells
@@ -129,7 +130,7 @@ def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda
 
 
 def _fitted(rows: list[tuple[int, int, int]], times: list[float], kinds: list[str],
-            exchanges: tuple[tuple[float, float], ...], packing: float) -> Rates:
+            exchanges: tuple[tuple[tuple[float, float], ...], int], packing: float) -> Rates:
     """Fit the cost per step, per cell of each kind and of a ghost to measured steps, all relative errors alike."""
     kind, owned, ghosts = (np.array(column) for column in zip(*rows))
     seconds = np.array(times)
@@ -151,7 +152,7 @@ def _fitted(rows: list[tuple[int, int, int]], times: list[float], kinds: list[st
     sizes = [(int((owned + ghosts)[n::len(TILES)].mean()), float((seconds / fitted)[n::len(TILES)].mean()))
              for n in range(min(len(TILES), seconds.size // len(kinds)))]
     return Rates(float(found[0]), {name: float(c) for name, c in zip(kinds, found[1:])}, share, packing,
-                 tuple(exchanges), 1, f"{platform.node()}, {platform.machine()}", tuple(sizes))
+                 exchanges[0], 1, exchanges[1], f"{platform.node()}, {platform.machine()}", tuple(sizes))
 
 
 def cache_file(scene: Scene) -> pathlib.Path:

@@ -60,14 +60,15 @@ def measure(scene: Scene, duration: float) -> dict:
     watches, wall, busy, messages = Stopwatches(), [], [], []
     with waiting(watches.wrap):
         while clock.in_cycle < duration * (1.0 - 1e-12):
-            start = time.monotonic(), time.thread_time()
+            start, before = (time.monotonic(), time.thread_time()), clock.steps
             advance(state, model, clock, ledger, duration)
-            wall.append(time.monotonic() - start[0])
-            messages.append(sum(watches.read()[0].values()))
-            busy.append(time.thread_time() - start[1] - messages[-1])
+            steps = clock.steps - before
+            wall.append((time.monotonic() - start[0]) / steps)
+            messages.append(sum(watches.read()[0].values()) / steps)
+            busy.append((time.thread_time() - start[1]) / steps - messages[-1])
     active = int(mpi.total(np.int64(clock.active_cell_steps)))
     # the first steps load the kernels
-    first = 3
+    first = min(3, len(wall) - 1)
     # who comes last waits least, in the step when nobody else is late: that is what the messages cost
     cost = float(mpi.minimum(np.quantile(messages[first:], 0.05)))
     return {"ranks": mpi.size(), "step_s": float(mpi.maximum(typical(busy[first:]))) + cost, "messages_s": cost,

@@ -52,7 +52,8 @@ def run(parsed: argparse.Namespace) -> int:
           + ", ".join(f"{1e9 * cost:.0f} ns per {kind} cell" for kind, cost in rates.per_cell.items())
           + f", a ghost {rates.ghost_share:.0%} of that, packing {1e-9 * rates.packing:.1f} GB/s")
     print(f"network: latency {1e6 * latency:g} us, {parsed.bandwidth:g} GB/s per rank "
-          f"(stated, not measured), {len(rates.exchanges)} exchanges and {rates.reductions} reduction per step")
+          f"(stated, not measured), {len(rates.exchanges) / rates.steps:.1f} exchanges and {rates.reductions} "
+          "reduction per step")
     found = predict.predict(scene, plan, ranks, rates, network)
     print(predict.table(found))
     rows = trial.compare(scene, plan, rates, network, (1, 2), duration) if parsed.check else []

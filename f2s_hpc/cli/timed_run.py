@@ -26,18 +26,21 @@ def timed(arguments: list[str]) -> int:
     plain, watches = simulation.advance, Stopwatches()
     wall, busy = [], []
 
-    def advance(*step) -> None:
+    def advance(state, model, clock, *rest) -> None:
         watches.read()
-        start = time.monotonic(), time.thread_time()
-        plain(*step)
-        wall.append(time.monotonic() - start[0])
-        busy.append(time.thread_time() - start[1] - sum(watches.read()[0].values()))
+        start, before = (time.monotonic(), time.thread_time()), clock.steps
+        plain(state, model, clock, *rest)
+        steps = clock.steps - before
+        wall.append((time.monotonic() - start[0]) / steps)
+        busy.append((time.thread_time() - start[1] - sum(watches.read()[0].values())) / steps)
 
     simulation.advance = advance
     with waiting(watches.wrap):
         code = main(arguments)
     if code == 0:
-        times = {"step_s": float(mpi.maximum(typical(wall[WARM:]))), "busy_s": float(mpi.maximum(typical(busy[WARM:])))}
+        first = min(WARM, len(wall) - 1)
+        times = {"step_s": float(mpi.maximum(typical(wall[first:]))),
+                 "busy_s": float(mpi.maximum(typical(busy[first:])))}
         if mpi.is_root():
             folder = pathlib.Path(arguments[arguments.index("--out") + 1])
             (folder / "times.json").write_text(json.dumps(times) + "\n", encoding="utf-8")

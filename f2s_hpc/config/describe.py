@@ -32,7 +32,7 @@ def checkpoint_bytes(scene: Scene) -> int:
     """Return the size of one checkpoint: 8 bytes per cell or node and saved field."""
     cells = math.prod(scene.domain.cells)
     nodes = math.prod(n + 1 for n in scene.domain.cells)
-    needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    needed = scene.needed_fields
     saved = [f for f in needed if f.saved]
     return 8 * sum(nodes if f.location == fields.NODE else cells for f in saved)
 

@@ -202,9 +202,12 @@ class Cycles(Section):
 class Numerics(Section):
     """The scheme's own numbers; the defaults are the measured choice."""
 
-    courant: Number = Field(default=0.5, gt=0, lt=1, description="time step over the sound crossing time of a cell")
+    courant: Number = Field(default=0.7, gt=0, lt=1, description="time step over the sound crossing time of a cell")
     remap_courant: Number = Field(default=0.25, gt=0, le=0.45,
-                                  description="largest share of a cell that material crosses in a step")
+                                  description="largest share of a cell that material crosses between two remaps")
+    steps_per_remap: Whole = Field(default=8, ge=1, description="most time steps between two remaps; 1 for a remap "
+                                                                "after each")
+    strain_per_remap: Number = Field(default=0.4, gt=0, le=1, description="largest strain between two remaps")
     strain_per_step: Number = Field(default=0.1, gt=0, le=1, description="largest strain increment in a step")
     shock_viscosity_linear: Number = Field(default=0.1, ge=0, le=10, description="linear shock viscosity")
     shock_viscosity_quadratic: Number = Field(default=1.2, ge=0, le=10, description="quadratic shock viscosity")
@@ -351,6 +354,12 @@ class Scene(Section):
     def mie_grueneisen(self) -> bool:
         """Does the pressure depend on the internal energy?"""
         return isinstance(self.material.pressure, MieGrueneisenPressure)
+
+    @property
+    def needed_fields(self) -> tuple[fields.Field, ...]:
+        """Fields that a run of the scene allocates."""
+        return fields.needed(self.mie_grueneisen, self.numerics.loss_heating, self.output.origin,
+                             self.numerics.steps_per_remap > 1)
 
     @property
     def melting_temperature(self) -> float | None:

@@ -20,8 +20,8 @@ REACH = 3.0
 """Distance to material (in cells) at which a sphere is painted: two for its mixed cells and their nodes, one for the
 wave that runs ahead of what it is to hit."""
 
-LOOK = 4
-"""Steps between two looks; what can be flown until the next one is added to the reach."""
+LOOK = 2
+"""Remaps between two looks; what can be flown until the next one is added to the reach."""
 
 CLEARANCE = 0.25
 """Step (in cells) by which a new sphere is raised until nothing is in its place."""
@@ -118,8 +118,8 @@ class Flight:
 
         None if there are none. Where all have that velocity the batch names none of its own. Collective.
 
-        Looks every ``LOOK`` calls. ``dt``: the last step (s), from which the way to the next look follows. Raises
-        ``UnstableStep`` if a sphere meets material where it does not fit into the box.
+        Looks every ``LOOK`` calls. ``dt``: time between the last two remaps (s), from which the way to the next look
+        follows. Raises ``UnstableStep`` if a sphere meets material where it does not fit into the box.
         """
         self.calls += 1
         if self.count == 0 or (self.calls - 1) % LOOK:

@@ -104,7 +104,8 @@ class Simulation:
         return {
             "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "step": clock.steps,
             "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
-                      "dt": clock.dt, "limit": clock.limit,
+                      "remaps": clock.remaps, "between_remaps": clock.between_remaps, "dt": clock.dt,
+                      "limit": clock.limit,
                       "fastest_heavy": float(mpi.maximum(clock.fastest_heavy)),
                       "active_cell_steps": int(mpi.total(np.int64(clock.active_cell_steps)))},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
@@ -203,7 +204,7 @@ class Simulation:
     def _land(self) -> None:
         """Put the spheres that are about to meet something onto the grid."""
         clock = self.clock
-        arrived = self.flight.arrivals(self.state, clock.time, clock.dt or 0.0)
+        arrived = self.flight.arrivals(self.state, clock.time, clock.between_remaps)
         if arrived is not None:
             paint_arrivals(self.state, self.model, arrived, self.scene.particles.temperature, self.ledger)
             clock.limits.heavy_speed = max(clock.limits.heavy_speed, self.scene.top_speed)

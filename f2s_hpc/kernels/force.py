@@ -11,13 +11,16 @@ import math
 import numpy as np
 
 from f2s_hpc._jit import borrowed, kernel
+from f2s_hpc.kernels.deformed import LEAST_VOLUME, cofactors, gradient, volume_ratios
 from f2s_hpc.kernels.scratch import W
 from f2s_hpc.kernels.skin import surface_pressure
 from f2s_hpc.materials.pressure import pressure, stiffness
 
-RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, LEFT, RIGHT, ROWS = 0, 1, 2, 3, 4, 5, 6, 12, 16, 20
+RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, LEFT, RIGHT, VOLUME, COFACTOR, GRADIENT, ROWS = (
+    0, 1, 2, 3, 4, 5, 6, 15, 19, 23, 24, 33, 42)
 """Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous pressure,
-hourglass power, wave speed, six weighted stresses, forces on four left and four right corners."""
+hourglass power, wave speed, nine weighted stresses (x, y, z force on the x, y, z faces), forces on four left and four
+right corners, volume ratio; of a displaced mesh nine cofactors and nine of the velocity gradient."""
 
 
 @kernel
@@ -44,15 +47,15 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
     linear, quadratic = viscosity
     shear = 4.0 / 3.0 * bulk.shear_modulus
     for i in range(mass.size):
-        x, f = mass[i], fraction[i]
+        x, f, volume = mass[i], fraction[i], s[VOLUME * W + i]
         e = energy[i]
         full = 1.0 if f >= 1.0 else 0.0
-        compression = x if f >= 1.0 else 1.0
+        compression = x / volume if f >= 1.0 else 1.0
         p = full * pressure(eos, compression, e)
         density = bulk.density * compression
         sound = math.sqrt((stiffness(eos, compression, e) + shear) / density)
         # a cell that is to close within the step is in the shock of the impact already
-        shut = 1.0 if x > 1.0 + last_dt * s[RATE * W + i] else full
+        shut = 1.0 if x > volume * (1.0 + last_dt * s[RATE * W + i]) else full
         closing = max(full, shut) * min(s[RATE * W + i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening
@@ -67,16 +70,42 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
 
 @kernel
 def _weigh(fraction, xx, yy, zz, xy, yz, xz, area, s):
-    """Total stress times volume fraction times a quarter of the face, into six scratch rows."""
+    """Total stress times volume fraction times a quarter of the face, into nine scratch rows, the shear ones twice."""
     for i in range(fraction.size):
         a = area * fraction[i]
         p = s[TOTAL * W + i]
         s[STRESS * W + i] = a * (xx[i] - p)
-        s[(STRESS + 1) * W + i] = a * (yy[i] - p)
-        s[(STRESS + 2) * W + i] = a * (zz[i] - p)
-        s[(STRESS + 3) * W + i] = a * xy[i]
-        s[(STRESS + 4) * W + i] = a * yz[i]
-        s[(STRESS + 5) * W + i] = a * xz[i]
+        s[(STRESS + 4) * W + i] = a * (yy[i] - p)
+        s[(STRESS + 8) * W + i] = a * (zz[i] - p)
+        s[(STRESS + 1) * W + i] = s[(STRESS + 3) * W + i] = a * xy[i]
+        s[(STRESS + 5) * W + i] = s[(STRESS + 7) * W + i] = a * yz[i]
+        s[(STRESS + 2) * W + i] = s[(STRESS + 6) * W + i] = a * xz[i]
+
+
+@kernel
+def _weigh_displaced(fraction, xx, yy, zz, xy, yz, xz, area, s):
+    """As :func:`_weigh` on displaced faces: the total stress times their area vectors, sigma cof(F)."""
+    for i in range(fraction.size):
+        a = area * fraction[i]
+        p = s[TOTAL * W + i]
+        sxx, syy, szz = a * (xx[i] - p), a * (yy[i] - p), a * (zz[i] - p)
+        sxy, syz, sxz = a * xy[i], a * yz[i], a * xz[i]
+        for face in range(3):
+            x, y, z = (s[(COFACTOR + face) * W + i], s[(COFACTOR + 3 + face) * W + i],
+                       s[(COFACTOR + 6 + face) * W + i])
+            s[(STRESS + face) * W + i] = sxx * x + sxy * y + sxz * z
+            s[(STRESS + 3 + face) * W + i] = sxy * x + syy * y + syz * z
+            s[(STRESS + 6 + face) * W + i] = sxz * x + syz * y + szz * z
+
+
+@kernel
+def _rate_displaced(n, s):
+    """Velocity divergence (1/s) of ``n`` displaced cells: cof(F) : dv/dX over the volume ratio."""
+    for i in range(n):
+        rate = 0.0
+        for a in range(9):
+            rate += s[(COFACTOR + a) * W + i] * s[(GRADIENT + a) * W + i]
+        s[RATE * W + i] = rate / max(s[VOLUME * W + i], LEAST_VOLUME)
 
 
 @kernel
@@ -124,7 +153,8 @@ def _add_corners(f, left, right, s):
 
 @kernel
 def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, viscosity, hourglass, mass, fraction,
-                 energy, stress, u, v, w, fx, fy, fz, shock, hourglass_power, closing, power_quantum, sums):
+                 energy, stress, u, v, w, fx, fy, fz, displaced, x, y, z, gx, gy, gz, shock, hourglass_power, closing,
+                 power_quantum, sums):
     """Add every active cell's forces (N) to its nodes; ``fx``, ``fy``, ``fz`` must be zero before.
 
     Parameters
@@ -140,6 +170,8 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
         Flanagan and Belytschko 1981).
     mass, fraction, energy, stress : flat cell arrays; ``stress`` a tuple of six (Pa).
     u, v, w, fx, fy, fz : flat node arrays, velocity (m/s) and force (N).
+    displaced, x, y, z, gx, gy, gz : whether the nodes are displaced since the last remap, by how much (in cells), and
+        what the low faces of the cells have swept since.
     shock, hourglass_power, closing : flat node-shaped arrays that take, per cell, the viscous pressure (Pa), the power
         of hourglass control (W) and the velocity divergence (1/s), for the heat they become.
     sums : int64[1], power of hourglass control in units of ``power_quantum``.
@@ -152,6 +184,7 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
     u, v, w, fx, fy, fz = borrowed(u), borrowed(v), borrowed(w), borrowed(fx), borrowed(fy), borrowed(fz)
     stress = (borrowed(stress[0]), borrowed(stress[1]), borrowed(stress[2]), borrowed(stress[3]), borrowed(stress[4]),
               borrowed(stress[5]))
+    x, y, z, gx, gy, gz = borrowed(x), borrowed(y), borrowed(z), borrowed(gx), borrowed(gy), borrowed(gz)
     area, per_quantum = 0.25 * dx * dx, 1.0 / power_quantum
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     fastest, where = 0.0, 0
@@ -166,19 +199,35 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
             cell = (k * ny + j) * nx + first
             a = k * plane1 + j * row1 + first
             b, c, d, m = a + row1, a + plane1, a + plane1 + row1, n + 1
-            _divergence(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], v[a:a + m], v[b:b + m], v[c:c + m],
-                        v[d:d + m], w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, s)
+            if displaced:
+                gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, GRADIENT, s)
+                gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, GRADIENT + 3, s)
+                gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, GRADIENT + 6, s)
+                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, COFACTOR, s)
+                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, COFACTOR + 3, s)
+                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, COFACTOR + 6, s)
+                cofactors(n, COFACTOR, s)
+                volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[b:b + n], gz[a:a + n], gz[c:c + n],
+                              s[VOLUME * W:VOLUME * W + n])
+                _rate_displaced(n, s)
+            else:
+                _divergence(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], v[a:a + m], v[b:b + m], v[c:c + m],
+                            v[d:d + m], w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, s)
+                s[VOLUME * W:VOLUME * W + n] = 1.0
             f = fraction[cell:cell + n]
             e = energy[cell:cell + n] if energy.size > 1 else nothing[:n]
             _pressure(mass[cell:cell + n], f, e, dx, last_dt, bulk, eos, viscosity, hourglass, s)
             surface_pressure(mass, f, stress, cell, shape, TOTAL, SHOCK, s)
-            _weigh(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
-                   stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
+            if displaced:
+                _weigh_displaced(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
+                                 stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
+            else:
+                _weigh(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
+                       stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
             for axis in range(3):
                 p, g = (u, fx) if axis == 0 else ((v, fy) if axis == 1 else (w, fz))
-                x, y, z = (0, 3, 5) if axis == 0 else ((3, 1, 4) if axis == 1 else (5, 4, 2))
-                _corner_forces(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], (STRESS + x) * W, (STRESS + y) * W,
-                               (STRESS + z) * W, s)
+                row = STRESS + 3 * axis
+                _corner_forces(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], row * W, (row + 1) * W, (row + 2) * W, s)
                 _add_corners(g[a:a + m], LEFT * W, RIGHT * W, s)
                 _add_corners(g[b:b + m], (LEFT + 1) * W, (RIGHT + 1) * W, s)
                 _add_corners(g[c:c + m], (LEFT + 2) * W, (RIGHT + 2) * W, s)

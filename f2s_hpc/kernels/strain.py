@@ -1,4 +1,4 @@
-"""Lagrangian step of the cells: face volume fluxes, velocity gradient, stress and heating."""
+"""Lagrangian step of the cells: velocity gradient, stress and heating."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from f2s_hpc._jit import borrowed, inlined, kernel
+from f2s_hpc.kernels.deformed import gradient, to_deformed, volume_ratios
 from f2s_hpc.kernels.plasticity import (
     AFTER,
     ELASTIC_AFTER,
@@ -23,58 +24,13 @@ from f2s_hpc.kernels.plasticity import (
     TRIAL,
     VISCOUS,
     VOLUME,
+    VOLUME_BEFORE,
     heat_chunk,
     return_chunk,
 )
 from f2s_hpc.kernels.scratch import W
 from f2s_hpc.kernels.skin import surface_strain
 from f2s_hpc.materials.pressure import pressure, stored_energy
-
-
-@kernel
-def _mean_of_four(a, b, c, d, quarter, out):
-    """A quarter of the sum of four rows, scaled."""
-    for i in range(out.size):
-        out[i] = quarter * ((a[i] + b[i]) + (c[i] + d[i]))
-
-
-@kernel
-def face_fluxes(runs, count, window, shape, dt_over_dx, u, v, w, gx, gy, gz):
-    """Volume (in cells) that each low face of a cell sweeps in the step: the mean of its four nodes' velocity.
-
-    ``gx[k, j, i]`` belongs to the face between cells i - 1 and i; the arrays have the shape of node arrays.
-    The divergence of these fluxes is the mean-gradient divergence times dt, so strain and remap agree.
-    """
-    ny, nx = shape
-    quarter = 0.25 * dt_over_dx
-    up, over = (nx + 1) * (ny + 1), nx + 1
-    u, v, w, gx, gy, gz = borrowed(u), borrowed(v), borrowed(w), borrowed(gx), borrowed(gy), borrowed(gz)
-    for r in range(count):
-        k, j = runs[r, 0], runs[r, 1]
-        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
-            continue
-        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        if last <= first:
-            continue
-        a, n = (k * (ny + 1) + j) * (nx + 1) + first, last - first
-        b, c, d = a + over, a + up, a + up + over
-        _mean_of_four(u[a:a + n], u[c:c + n], u[b:b + n], u[d:d + n], quarter, gx[a:a + n])
-        _mean_of_four(v[a:a + n], v[a + 1:a + n + 1], v[c:c + n], v[c + 1:c + n + 1], quarter, gy[a:a + n])
-        _mean_of_four(w[a:a + n], w[a + 1:a + n + 1], w[b:b + n], w[b + 1:b + n + 1], quarter, gz[a:a + n])
-
-
-@kernel
-def _gradient(p00, p10, p01, p11, scale, row, s):
-    """Mean gradient (1/s) of a velocity component over a chunk of cells into scratch rows ``row`` to ``row + 2``.
-
-    ``p``: the component on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1), each one longer than the chunk.
-    """
-    for i in range(p00.size - 1):
-        a0, a1, b0, b1 = p00[i], p00[i + 1], p10[i], p10[i + 1]
-        c0, c1, d0, d1 = p01[i], p01[i + 1], p11[i], p11[i + 1]
-        s[row * W + i] = scale * ((a1 - a0) + (b1 - b0) + (c1 - c0) + (d1 - d0))
-        s[(row + 1) * W + i] = scale * ((b0 - a0) + (b1 - a1) + (d0 - c0) + (d1 - c1))
-        s[(row + 2) * W + i] = scale * ((c0 - a0) + (c1 - a1) + (d0 - b0) + (d1 - b1))
 
 
 @kernel
@@ -156,17 +112,15 @@ def closure(x, fraction, jacobian, energy, eos, spall):
 
 @kernel
 def _close_chunk(mass, fraction, energy, shock, closing, dt, bulk, eos, s):
-    """Volume ratio, volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk.
+    """Volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk.
 
     ``shock``, ``closing``: viscous pressure (Pa) in this step's forces, and the divergence (1/s) before them: its work
     over the step is that at the mean of the divergences before and after, as it is for the nodes.
     """
     for i in range(mass.size):
         rate = s[i] + s[4 * W + i] + s[8 * W + i]
-        jacobian = 1.0 + dt * rate
-        s[VOLUME * W + i] = jacobian
-        s[AFTER * W + i] = closure(mass[i], fraction[i], jacobian, energy[i], eos, bulk.spall_pressure)
-        s[VISCOUS * W + i] = -0.5 * dt * fraction[i] * shock[i] * (closing[i] + rate)
+        s[AFTER * W + i] = closure(mass[i], fraction[i], s[VOLUME * W + i], energy[i], eos, bulk.spall_pressure)
+        s[VISCOUS * W + i] = -0.5 * dt * fraction[i] * s[VOLUME_BEFORE * W + i] * shock[i] * (closing[i] + rate)
 
 
 @kernel
@@ -187,11 +141,11 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
                 power += mid * (s[5 * W + i] + s[7 * W + i])
             else:
                 power += mid * (s[2 * W + i] + s[6 * W + i])
-        jacobian, after = s[VOLUME * W + i], s[AFTER * W + i]
-        p_old = pressure(eos, x, e) if fraction[i] >= 1.0 else 0.0
+        jacobian, after, volume = s[VOLUME * W + i], s[AFTER * W + i], s[VOLUME_BEFORE * W + i]
+        p_old = pressure(eos, x / volume, e) if fraction[i] >= 1.0 else 0.0
         p_new = pressure(eos, x / jacobian, e) if after >= 1.0 else 0.0
         # while there is void the volume changes at no pressure: it closes, or opens, at volume x
-        swept = (jacobian if after >= 1.0 else x) - (1.0 if fraction[i] >= 1.0 else x)
+        swept = (jacobian if after >= 1.0 else x) - (volume if fraction[i] >= 1.0 else x)
         lost = s[RETURNED * W + i] / max(bulk.taylor_quinney, 1e-300)
         work = dt * power * after * jacobian + s[VISCOUS * W + i] - 0.5 * (p_old + p_new) * swept + lost
         energy[i] = e + work / (x * bulk.density)
@@ -211,8 +165,9 @@ def _elastic_chunk(mass, fraction, bulk, eos, s):
     for i in range(mass.size):
         x, before, after = mass[i], fraction[i], s[AFTER * W + i]
         some = max(x, 1e-300)
-        jacobian = s[VOLUME * W + i]
-        old = before * s[SHAPE_BEFORE * W + i] * inverse + (some * stored_energy(eos, some) if before >= 1.0 else 0.0)
+        jacobian, volume = s[VOLUME * W + i], s[VOLUME_BEFORE * W + i]
+        old = before * volume * s[SHAPE_BEFORE * W + i] * inverse + (
+            some * stored_energy(eos, some / volume) if before >= 1.0 else 0.0)
         new = after * jacobian * s[SHAPE_AFTER * W + i] * inverse + (
             some * stored_energy(eos, some / jacobian) if after >= 1.0 else 0.0)
         s[ELASTIC_BEFORE * W + i] = old if x > 0.0 else 0.0
@@ -245,23 +200,27 @@ def _steepest(n, fastest, s):
 
 @kernel
 def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow, heating, mass, fraction, energy,
-                    stress, peeq, temperature, u, v, w, shock, hourglass, node_heat, closing, quantum, sums):
+                    stress, peeq, temperature, u, v, w, displaced, x, y, z, gx, gy, gz, before, shock, hourglass,
+                    node_heat, closing, quantum, sums):
     """Strain, stress, plastic flow, heating and closure of the cells in ``window``.
 
     Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p).
     ``heating``: (share of the shock viscosity's work that heats, share of what hourglass control, remap and light-node
-    exchange took that heats as plastic work does). ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg),
-    ``closing`` (1/s): node-shaped arrays; what the forces of this step and the losses of the last one left to be turned
-    into heat. ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[6] in units of
-    ``quantum`` (J): elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from
-    numerical losses. Returns the largest velocity-gradient norm (1/s) of the cells at least
-    half full and the flat index of that cell.
+    exchange took that heats as plastic work does). ``displaced``: nodes are displaced by ``x``, ``y``, ``z`` (in cells)
+    since the last remap, and cells had the volume ratios ``before``; ``gx``, ``gy``, ``gz``: what their faces have
+    swept at the end of this step. ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg), ``closing`` (1/s):
+    node-shaped arrays; what the forces of this step and the losses of the last one left to be turned into heat.
+    ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[6] in units of ``quantum`` (J):
+    elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from numerical losses.
+    Returns the largest velocity-gradient norm (1/s) of the cells at least half full and the flat index of that cell.
     """
     ny, nx = shape
     scratch, places = np.empty(ROWS * W), np.empty(W, dtype=np.int64)
     s, place, nothing, carried = borrowed(scratch), borrowed(places), np.zeros(W), energy.size > 1
     mass, fraction, peeq, temperature = borrowed(mass), borrowed(fraction), borrowed(peeq), borrowed(temperature)
     u, v, w, shock, hourglass = borrowed(u), borrowed(v), borrowed(w), borrowed(shock), borrowed(hourglass)
+    x, y, z, gx, gy, gz, before = (borrowed(x), borrowed(y), borrowed(z), borrowed(gx), borrowed(gy), borrowed(gz),
+                                   borrowed(before))
     node_heat, closing, energy = borrowed(node_heat), borrowed(closing), borrowed(energy)
     stress = (borrowed(stress[0]), borrowed(stress[1]), borrowed(stress[2]), borrowed(stress[3]), borrowed(stress[4]),
               borrowed(stress[5]))
@@ -279,25 +238,35 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
             a = (k * (ny + 1) + j) * (nx + 1) + first
             b, c, m = a + nx + 1, a + (nx + 1) * (ny + 1), n + 1
             d = c + nx + 1
-            _gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, GRADIENT, s)
-            _gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, GRADIENT + 3, s)
-            _gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, GRADIENT + 6, s)
-            x, f, t = mass[cell:end], fraction[cell:end], temperature[cell:end]
+            gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, GRADIENT, s)
+            gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, GRADIENT + 3, s)
+            gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, GRADIENT + 6, s)
+            if displaced:
+                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, TRIAL, s)
+                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, TRIAL + 3, s)
+                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, TRIAL + 6, s)
+                s[VOLUME_BEFORE * W:VOLUME_BEFORE * W + n] = before[a:a + n]
+                to_deformed(n, GRADIENT, TRIAL, VOLUME_BEFORE, s)
+            else:
+                s[VOLUME_BEFORE * W:VOLUME_BEFORE * W + n] = 1.0
+            volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[b:b + n], gz[a:a + n], gz[c:c + n],
+                          s[VOLUME * W:VOLUME * W + n])
+            filled, f, t = mass[cell:end], fraction[cell:end], temperature[cell:end]
             e = energy[cell:end] if carried else nothing[:n]
-            _close_chunk(x, f, e, shock[a:a + n], closing[a:a + n], dt, bulk, eos, s)
+            _close_chunk(filled, f, e, shock[a:a + n], closing[a:a + n], dt, bulk, eos, s)
             surface_strain(mass, f, cell, shape, s)
             _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
                           stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
-            return_chunk(flow, x, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
-            heat_chunk(x, t, bulk, heating, dt / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
+            return_chunk(flow, filled, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
+            heat_chunk(filled, t, bulk, heating, dt / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
                        node_heat[b:b + m], node_heat[c:c + m], node_heat[d:d + m], s)
             if carried:
-                _internal_energy(x, f, e, stress, cell, dt, bulk, eos, s)
+                _internal_energy(filled, f, e, stress, cell, dt, bulk, eos, s)
             for component in range(6):
-                _write_stress(stress[component][cell:end], x, TRIAL + component, s)
-            _elastic_chunk(x, f, bulk, eos, s)
+                _write_stress(stress[component][cell:end], filled, TRIAL + component, s)
+            _elastic_chunk(filled, f, bulk, eos, s)
             for i in range(n):
-                f[i] = s[AFTER * W + i] if x[i] > 0.0 else f[i]
+                f[i] = s[AFTER * W + i] if filled[i] > 0.0 else f[i]
             for term in range(6):
                 sums[term] += _sum_row(ELASTIC_BEFORE + term, n, scale, s)
             fastest, at = _steepest(n, fastest, s)

@@ -12,59 +12,53 @@ from f2s_hpc._jit import inlined
 
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _LOG2_E = 1.4426950408889634
-_MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
-_ONE = np.int64(0x3FF0000000000000)
+_MANTISSA, _TO_TOP = np.int64(0x000FFFFFFFFFFFFF), np.int64(52)
+_ROUND = 6755399441055744.0
+"""1.5 * 2**52: a number added to it is rounded to an integer, which then stands in the lowest bits."""
+_ROOT_HALF = np.int64(0x3FE6A09E667F3BCD)
+_FROM_ROOT_HALF = np.int64(0x3FF0000000000000 - 0x3FE6A09E667F3BCD)
+_INTEGER, _INTEGER_VALUE = np.int64(0x4330000000000000), 4503599627370496.0 + 1023.0
+"""Bits of 2**52, below which an integer can be put; what that number exceeds the integer by, and the exponent's bias"""
 
 
 @inlined
 def exponential(x):
     """Return e**x for -700 < x < 700, clipped to that range.
 
-    x = k ln 2 + r with |r| <= ln(2) / 2; Taylor series of e**r to the 13th power, then an exact factor 2**k.
+    x = k ln 2 + r with |r| <= ln(2) / 2; e**r = 1 + r + r**2 q(r), q interpolated at Chebyshev points (relative error
+    1.6e-17), its even and odd halves side by side; then k is added to the exponent of the number.
     """
-    x = min(max(x, -700.0), 700.0)
-    k = np.floor(x * _LOG2_E + 0.5)
-    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
-    p = 1.0 / 479001600.0 + r / 6227020800.0
-    p = 1.0 / 39916800.0 + r * p
-    p = 1.0 / 3628800.0 + r * p
-    p = 1.0 / 362880.0 + r * p
-    p = 1.0 / 40320.0 + r * p
-    p = 1.0 / 5040.0 + r * p
-    p = 1.0 / 720.0 + r * p
-    p = 1.0 / 120.0 + r * p
-    p = 1.0 / 24.0 + r * p
-    p = 1.0 / 6.0 + r * p
-    p = 0.5 + r * p
-    p = 1.0 + r * p
-    p = 1.0 + r * p
-    return p * np.int64((np.int64(k) + np.int64(1023)) << np.int64(52)).view(np.float64)
+    shifted = min(max(x, -700.0), 700.0) * _LOG2_E + _ROUND
+    k = shifted - _ROUND
+    r = (min(max(x, -700.0), 700.0) - k * _LN2_HIGH) - k * _LN2_LOW
+    y = r * r
+    q = 2.762007713646922e-07 + r * 2.51003767988125e-08
+    q = (2.480152131972762e-05 + r * 2.7557268478279004e-06) + y * q
+    q = (0.0013888888917198419 + r * 0.00019841269863041851) + y * q
+    q = (0.04166666666662416 + r * 0.008333333333330065) + y * q
+    q = (0.5 + r * 0.16666666666666669) + y * q
+    power_of_two = np.float64(shifted).view(np.int64) << _TO_TOP
+    return np.int64(np.float64(1.0 + (r + y * q)).view(np.int64) + power_of_two).view(np.float64)
 
 
 @inlined
 def logarithm(x):
     """Return ln x for normal x > 0.
 
-    x = 2**k m with m between 0.7 and 1.4; ln m = 2 artanh((m - 1) / (m + 1)) as a series.
+    x = 2**k m with m between sqrt(1/2) and sqrt(2); ln m = 2 artanh(z), z = (m - 1) / (m + 1), with the coefficients
+    of the freely distributable library fdlibm (Sun Microsystems 1993, e_log.c; error below 2**-58).
     """
-    bits = np.float64(x).view(np.int64)
-    k = np.float64((bits >> np.int64(52)) - np.int64(1023))
-    m = np.int64((bits & _MANTISSA) | _ONE).view(np.float64)
-    high = m > 1.4142135623730951
-    m = 0.5 * m if high else m
-    k = k + 1.0 if high else k
-    z = (m - 1.0) / (m + 1.0)
+    bits = np.float64(x).view(np.int64) + _FROM_ROOT_HALF
+    k = np.int64((bits >> _TO_TOP) | _INTEGER).view(np.float64) - _INTEGER_VALUE
+    f = np.int64((bits & _MANTISSA) + _ROOT_HALF).view(np.float64) - 1.0
+    z = f / (2.0 + f)
     y = z * z
-    p = 1.0 / 19.0 + y / 21.0
-    p = 1.0 / 17.0 + y * p
-    p = 1.0 / 15.0 + y * p
-    p = 1.0 / 13.0 + y * p
-    p = 1.0 / 11.0 + y * p
-    p = 1.0 / 9.0 + y * p
-    p = 1.0 / 7.0 + y * p
-    p = 0.2 + y * p
-    p = 1.0 / 3.0 + y * p
-    return k * _LN2_HIGH + (2.0 * z + (2.0 * z * y * p + k * _LN2_LOW))
+    w = y * y
+    even = w * (3.999999999940941908e-01 + w * (2.222219843214978396e-01 + w * 1.531383769920937332e-01))
+    odd = y * (6.666666666666735130e-01 + w * (2.857142874366239149e-01 + w * (
+        1.818357216161805012e-01 + w * 1.479819860511658591e-01)))
+    half = 0.5 * f * f
+    return k * _LN2_HIGH - ((half - (z * (half + (even + odd)) + k * _LN2_LOW)) - f)
 
 
 @inlined

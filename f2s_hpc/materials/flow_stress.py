@@ -6,7 +6,7 @@ Each model is written as
 
 with <x> = max(x, 0): a strain-hardening part, up to two logarithmic rate terms that act only above
 their reference rate, and thermal softening at the temperature of the step's start. ``softening``
-gives theta; ``hardening`` gives h, r and their derivatives in eps; ``rate_terms`` gives rate_1,
+gives theta; ``hardening`` gives h, r and their derivatives in ln eps; ``rate_terms`` gives rate_1,
 rate_2 and b. Sources: Ge et al. 2026 (Free2Spray), Eq. (1), with the limits of the authors' hardening
 routine, without which the logarithms go negative; Johnson and Cook 1983.
 """
@@ -21,9 +21,15 @@ from f2s_hpc.materials.elementary import exponential, logarithm, power
 from f2s_hpc.materials.params import Elastic, Ge, JohnsonCook, LinearHardening
 
 MAX_ITERATIONS = 80
-"""Bisections that shrink any bracket to round-off; Newton steps take three to six."""
+"""Bisections that shrink any bracket to round-off; most states take one step."""
 
 _TINY_STRAIN = 1e-300
+LOWEST, _HIGHEST = -700.0, 700.0
+"""Range of the logarithm of a plastic strain increment."""
+_NEAR = 2e-3
+"""Largest relative change of the increment after which the fourth-order step leaves less than 1e-13 of it."""
+_ROUND_OFF = 5e-13
+"""Some units in the last place of the largest logarithm."""
 
 
 def _ge_softening(flow, temperature):
@@ -33,11 +39,11 @@ def _ge_softening(flow, temperature):
 
 
 def _ge_hardening(flow, eps):
-    """Return h, r, dh/deps, dr/deps (Pa) of the Ge model."""
+    """Return h, r, dh/dln eps, dr/dln eps (Pa) of the Ge model, and n."""
     strained = power(max(eps, _TINY_STRAIN), flow.exponent)
-    slope = flow.exponent * strained / max(eps, _TINY_STRAIN)
+    slope = flow.exponent * strained
     return (flow.yield_stress + flow.hardening * strained, flow.alpha * strained + flow.beta,
-            flow.hardening * slope, flow.alpha * slope)
+            flow.hardening * slope, flow.alpha * slope, flow.exponent)
 
 
 def _ge_rate_terms(flow):
@@ -52,11 +58,10 @@ def _jc_softening(flow, temperature):
 
 
 def _jc_hardening(flow, eps):
-    """Return h, r, dh/deps, dr/deps (Pa) of Johnson-Cook; its rate factor multiplies the hardening."""
-    strained = power(max(eps, _TINY_STRAIN), flow.exponent)
-    slope = flow.exponent * strained / max(eps, _TINY_STRAIN)
-    stress = flow.yield_stress + flow.hardening * strained
-    return stress, flow.rate_factor * stress, flow.hardening * slope, flow.rate_factor * flow.hardening * slope
+    """Return h, r, dh/dln eps, dr/dln eps (Pa) of Johnson-Cook, and n; its rate factor multiplies the hardening."""
+    hardened = flow.hardening * power(max(eps, _TINY_STRAIN), flow.exponent)
+    stress, slope = flow.yield_stress + hardened, flow.exponent * hardened
+    return stress, flow.rate_factor * stress, slope, flow.rate_factor * slope, flow.exponent
 
 
 def _jc_rate_terms(flow):
@@ -70,8 +75,8 @@ def _linear_softening(flow, temperature):
 
 
 def _linear_hardening(flow, eps):
-    """Return h, r, dh/deps, dr/deps (Pa) of linear hardening."""
-    return flow.yield_stress + flow.modulus * eps, 0.0, flow.modulus, 0.0
+    """Return h, r, dh/dln eps, dr/dln eps (Pa) of linear hardening, and its exponent, 1."""
+    return flow.yield_stress + flow.modulus * eps, 0.0, flow.modulus * max(eps, _TINY_STRAIN), 0.0, 1.0
 
 
 def _no_rate_terms(flow):
@@ -81,7 +86,7 @@ def _no_rate_terms(flow):
 
 def _elastic_hardening(flow, eps):
     """A flow stress that no trial stress reaches."""
-    return 1e300, 0.0, 0.0, 0.0
+    return 1e300, 0.0, 0.0, 0.0, 1.0
 
 
 _MODELS = {
@@ -98,7 +103,10 @@ def softening(flow, temperature):
 
 
 def hardening(flow, eps):
-    """Return h, r, dh/deps, dr/deps (Pa) of ``flow`` at equivalent plastic strain ``eps``."""
+    """Return h, r, dh/dln eps, dr/dln eps (Pa) of ``flow`` at equivalent plastic strain ``eps``, and n.
+
+    Both derivatives go with eps**n: every further one in ln eps multiplies by n.
+    """
     return _MODELS[type(flow)][1](flow, eps)
 
 
@@ -127,21 +135,6 @@ def _rate_terms_overload(flow):
 
 
 @inlined
-def cold_flow_stress(flow, eps, rate):
-    """Return the flow stress over its thermal factor, and its derivatives in strain and rate (Pa, Pa, Pa s).
-
-    Without branches, so that loops over it vectorise.
-    """
-    h, r, dh, dr = hardening(flow, eps)
-    rate_1, rate_2, b = rate_terms(flow)
-    above_1, above_2 = max(rate, rate_1), max(rate, rate_2)
-    decades = logarithm(above_1 / rate_1)
-    stress = (h + r * decades) + b * logarithm(above_2 / rate_2)
-    slope_rate = (r / above_1 if rate > rate_1 else 0.0) + (b / above_2 if rate > rate_2 else 0.0)
-    return stress, dh + dr * decades, slope_rate
-
-
-@inlined
 def flow_stress(flow, eps, rate, temperature):
     """Return the flow stress and its derivatives in strain and in rate.
 
@@ -150,7 +143,13 @@ def flow_stress(flow, eps, rate, temperature):
     strain is infinite at zero strain where the exponent is below one.
     """
     theta = softening(flow, temperature)
-    stress, slope_strain, slope_rate = cold_flow_stress(flow, eps, rate)
+    h, r, h_slope, r_slope, _ = hardening(flow, eps)
+    rate_1, rate_2, b = rate_terms(flow)
+    above_1, above_2 = max(rate, rate_1), max(rate, rate_2)
+    decades = logarithm(above_1 / rate_1)
+    stress = (h + r * decades) + b * logarithm(above_2 / rate_2)
+    slope_strain = (h_slope + r_slope * decades) / max(eps, _TINY_STRAIN)
+    slope_rate = (r / above_1 if rate > rate_1 else 0.0) + (b / above_2 if rate > rate_2 else 0.0)
     return theta * stress, theta * slope_strain, theta * slope_rate
 
 
@@ -161,22 +160,103 @@ def static_flow_stress(flow, eps, temperature):
 
 
 @inlined
-def return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high):
-    """Do one bracketed Newton step of the radial return: increment, low, high anew, 1.0 if it was the last, stress.
+def rate_onsets(flow, dt):
+    """Return the logarithms of the plastic strain increments at which the two rate terms set in, for a step ``dt``."""
+    rate_1, rate_2, _ = rate_terms(flow)
+    return logarithm(rate_1 * dt), logarithm(rate_2 * dt)
 
-    ``theta``: thermal factor; ``stiffness``: 3 G. A step that leaves the bracket becomes a bisection. The last step is
-    taken where the residual is below 1e-13 of the trial stress, or the bracket has shrunk to round-off; the flow stress
-    is that at the increment given (the difference trial - 3 G d has no digits left near melting).
+
+@inlined
+def fourth_order(residual, first, second, third):
+    """Return Householder's step of fourth order towards the root of a falling function, or Newton's.
+
+    ``residual``: the function; ``first`` to ``third``: its derivatives with their signs turned (Householder 1970, The
+    Numerical Treatment of a Single Nonlinear Equation). From far on the side of the strong curvature the higher orders
+    lead astray; Newton's step is safe there.
     """
-    stress, slope_strain, slope_rate = cold_flow_stress(flow, eps + increment, increment / dt)
-    residual = (trial - stiffness * increment) - theta * stress
-    low = increment if residual > 0.0 else low
-    high = high if residual > 0.0 else increment
-    proposal = increment + residual / (stiffness + theta * (slope_strain + slope_rate / dt))
-    proposal = proposal if (proposal > low and proposal < high) else 0.5 * (low + high)
-    small = abs(residual) <= 1e-13 * trial
-    last = small or proposal == increment or high - low <= 1e-16 * high
-    return increment if small else proposal, low, high, 1.0 if last else 0.0, theta * stress
+    over = 1.0 / first
+    newton = residual * over
+    p, q = newton * (second * over), newton * newton * (third * over)
+    return newton * (6.0 + 3.0 * p) / ((6.0 + 6.0 * p) + q) if p > -0.5 else newton
+
+
+@inlined
+def return_start(flow, theta, excess, stiffness, eps, r, h_slope, r_slope, onset_1, onset_2, guess):
+    """Return a first value of the logarithm of the plastic strain increment, and an upper bound of it.
+
+    ``excess``: trial less static flow stress (Pa), above zero; ``r`` and the slopes: of ``hardening`` at ``eps``.
+    Elastic unloading or either rate term alone would take up the whole excess at some increment: all bound the root.
+    ``guess`` replaces the first of them where it is smaller (unless it is of no use: not above a hundredth of it).
+    From there one step on the stress with hardening that needs no power: with y = d / eps,
+    ((1 + y)**n - 1) / n is about y / (1 + (1 - n) y / 2). It leaves most roots within 2e-3.
+    """
+    b, n = rate_terms(flow)[2], hardening(flow, 1.0)[4]
+    widest = max(excess / stiffness, _TINY_STRAIN)
+    near = guess if (guess < widest and guess > 0.01 * widest) else widest
+    free = excess / max(theta, _TINY_STRAIN)
+    bound = min(onset_1 + free / max(r, _TINY_STRAIN),
+                ((free + r * onset_1) + b * onset_2) / max(r + b, _TINY_STRAIN))
+    x = logarithm(near)
+    # ln(w) <= ln(n) + w / n - 1; the margin is for round-off
+    high = max(min(min(x + (widest / near - 1.0), bound) + 1e-6, _HIGHEST), LOWEST)
+    x = max(min(x, bound), LOWEST)
+    d, eps = exponential(x), max(eps, _TINY_STRAIN)
+    over = 1.0 / (eps + max(0.5 - 0.5 * n, 0.0) * d)
+    gained, slope = d * over, (d * over) * (eps * over)
+    above_1, above_2 = max(x - onset_1, 0.0), max(x - onset_2, 0.0)
+    elastic, hardening_1 = stiffness * d, h_slope + r_slope * above_1
+    residual = (excess - elastic) - theta * ((hardening_1 * gained + r * above_1) + b * above_2)
+    rate = (r + r_slope * gained if x > onset_1 else 0.0) + (b if x > onset_2 else 0.0)
+    first = elastic + theta * (hardening_1 * slope + rate)
+    second = elastic + theta * (hardening_1 + (2.0 * r_slope if x > onset_1 else 0.0)) * slope
+    found = x + fourth_order(residual, first, second, second)
+    return (found if (found > LOWEST and found < high) else x), high
+
+
+@inlined
+def return_step(flow, theta, trial, stiffness, eps, onset_1, onset_2, x, low, high):
+    """Do one step towards the root of the radial return in x, the logarithm of the plastic strain increment d.
+
+    In x the residual  trial - 3 G d - sigma(eps + d, d / dt)  is concave and falls, with bends only where a rate term
+    sets in. Its second and third derivatives cost no further powers, so the step is of fourth order; one that leaves
+    the bracket ``low`` to ``high`` becomes a bisection. The last step is one below 2e-3 that meets no bend: it leaves
+    less than 1e-13, and increment and flow stress follow from the derivatives. It ends too where the residual is below
+    1e-14 of the trial stress, or the bracket has shrunk to round-off.
+
+    ``theta``: thermal factor; ``stiffness``: 3 G; ``eps``: PEEQ before; ``onset_1``, ``onset_2``: of ``rate_onsets``.
+    Returns x, low, high anew, 1.0 if it was the last step, the increment and the flow stress (Pa) there.
+    """
+    d = exponential(x)
+    strain = max(eps + d, _TINY_STRAIN)
+    h, r, h_slope, r_slope, n = hardening(flow, strain)
+    b = rate_terms(flow)[2]
+    share = d / strain
+    above_1, above_2 = max(x - onset_1, 0.0), max(x - onset_2, 0.0)
+    elastic, stress = stiffness * d, theta * ((h + r * above_1) + b * above_2)
+    residual = (trial - elastic) - stress
+    low = x if residual > 0.0 else low
+    high = high if residual > 0.0 else x
+    # derivatives of the flow stress in x
+    bend = 1.0 + (n - 1.0) * share
+    hardened = (h_slope + r_slope * above_1) * share
+    r_first = share * r_slope if x > onset_1 else 0.0
+    first = theta * ((hardened + (r if x > onset_1 else 0.0)) + (b if x > onset_2 else 0.0))
+    second = theta * (hardened * bend + 2.0 * r_first)
+    third = theta * (hardened * (bend * bend + (bend - 1.0) * (1.0 - share)) + 3.0 * (r_first * bend))
+    step = fourth_order(residual, elastic + first, elastic + second, elastic + third)
+    found = x + step
+    inside = (1.0 if found >= low else 0.0) * (1.0 if found <= high else 0.0)
+    found = found if inside > 0.0 else 0.5 * (low + high)
+    # both ends of the step on one side of either onset; across one only a step of round-off is the last
+    below, beyond = min(found, x), max(found, x)
+    smooth = ((1.0 if below > onset_1 else 0.0) + (1.0 if beyond <= onset_1 else 0.0)) * (
+        (1.0 if below > onset_2 else 0.0) + (1.0 if beyond <= onset_2 else 0.0))
+    near = inside * (1.0 if abs(step) <= (_NEAR if smooth > 0.0 else _ROUND_OFF) else 0.0)
+    step = step if near > 0.0 else 0.0
+    last = 1.0 if (high - low <= _ROUND_OFF or abs(residual) <= 1e-14 * trial) else near
+    d *= 1.0 + step * (1.0 + step * (0.5 + step * (1.0 / 6.0 + step * (1.0 / 24.0))))
+    stress += step * (first + step * (0.5 * second + step * (1.0 / 6.0 * third)))
+    return found, low, high, last, d, stress
 
 
 @kernel
@@ -185,7 +265,7 @@ def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
 
     Finds d >= 0 with  trial - 3 G d = sigma(eps + d, d / dt, T)  (backward Euler, J2). The left
     side falls and the right side rises with d, so the root is single and lies between 0 and
-    (trial - sigma(eps, 0, T)) / 3G; Newton steps that leave the bracket become bisections, which
+    (trial - sigma(eps, 0, T)) / 3G; steps that leave a bracket become bisections, which
     always converges, across the infinite slope at zero strain, the logarithm at zero rate and the
     kinks at the reference rates.
 
@@ -194,18 +274,20 @@ def return_map(flow, trial, shear_modulus, eps, dt, temperature, guess):
     Returns (d, flow stress in Pa, iterations); d = 0 and the static flow stress when elastic.
     """
     stiffness = 3.0 * shear_modulus
-    static = static_flow_stress(flow, eps, temperature)
-    if trial <= static:
-        return 0.0, static, 0
     theta = softening(flow, temperature)
-    low, high = 0.0, (trial - static) / stiffness
-    increment = guess if low < guess < high else 0.5 * high
-    iteration, last, stress = 0, 0.0, static
+    h, r, h_slope, r_slope, _ = hardening(flow, eps)
+    if trial <= theta * h:
+        return 0.0, theta * h, 0
+    onset_1, onset_2 = rate_onsets(flow, dt)
+    x, high = return_start(flow, theta, trial - theta * h, stiffness, eps, r, h_slope, r_slope, onset_1, onset_2,
+                           guess)
+    low, iteration, last, increment, stress = LOWEST, 0, 0.0, 0.0, 0.0
     while last == 0.0 and iteration < MAX_ITERATIONS:
-        increment, low, high, last, stress = return_step(flow, theta, trial, stiffness, eps, dt, increment, low, high)
+        x, low, high, last, increment, stress = return_step(flow, theta, trial, stiffness, eps, onset_1, onset_2, x,
+                                                            low, high)
         iteration += 1
     return increment, stress, iteration
 
 
-__all__ = ["MAX_ITERATIONS", "cold_flow_stress", "flow_stress", "hardening", "rate_terms", "return_map", "return_step",
-           "softening", "static_flow_stress"]
+__all__ = ["LOWEST", "MAX_ITERATIONS", "flow_stress", "hardening", "rate_onsets", "rate_terms", "return_map",
+           "return_start", "return_step", "softening", "static_flow_stress"]

@@ -54,7 +54,7 @@ class Handover:
 
 def memory_needed(scene: Scene) -> float:
     """Return the memory (bytes) that the check takes: the whole state of the solver."""
-    allocated = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    allocated = scene.needed_fields
     return 8.0 * math.prod(scene.domain.cells) * len(allocated)
 
 

@@ -17,8 +17,13 @@ def diffusivity(model: Model) -> float:
     return model.bulk.conductivity / (model.bulk.density * model.bulk.specific_heat)
 
 
-def conduct(state: State, model: Model, dt: float) -> None:
-    """Conduct heat over ``dt``; ghosts of temperature must be valid before, those after the last sub-step are not."""
+def conduct(state: State, model: Model, dt: float, heated: bool = False) -> None:
+    """Conduct heat over ``dt``; ghosts of temperature must be valid before, those after the last sub-step are not.
+
+    ``heated``: they are not valid, cells were heated since.
+    """
+    if heated:
+        state.exchange(("temperature",), layers=1)
     number = diffusivity(model) * dt / model.dx**2
     substeps = max(1, math.ceil(number / LARGEST_NUMBER))
     runs, count = state.runs

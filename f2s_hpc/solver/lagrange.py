@@ -8,35 +8,44 @@ import numpy as np
 
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.grid.box import GHOST
-from f2s_hpc.kernels import force, momentum, remap, strain
+from f2s_hpc.kernels import deformed, force, momentum, remap, strain
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 
-def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray) -> tuple[float, int]:
+def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray,
+           displaced: bool = False) -> tuple[float, int]:
     """Sum the cells' forces on the owned nodes.
 
     Reads mass, volume fraction, stress (ghosts valid) and the velocity of the last step; writes the
-    nodal masses and forces, and, into the arrays of the sweeps, what will be heat: viscous pressure and hourglass
-    power of the cells, lost energy of the nodes. ``last_dt``: the last step (s). ``ledger_power`` int64[1] receives the
-    power of hourglass control.
+    nodal masses and forces, and what will be heat: viscous pressure and hourglass power of the cells, lost energy of
+    the nodes. ``last_dt``: the last step (s). ``ledger_power`` int64[1] receives the power of hourglass control.
+    ``displaced``: a step was taken since the last remap; what was lost before it has been returned by that one.
     Returns the largest effective wave speed (m/s) and the flat index of its cell.
     """
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     momentum.clear_nodes(runs, count, shape, *state.force)
-    remap.nodal_masses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["mass"],
-                       state.flat["nodal_mass"])
-    if state.lost.size > 1:
-        momentum.specific_losses(runs, count, state.node_window((2, 2, 2), (2, 2, 2)), shape, state.flat["nodal_mass"],
-                                 state.lost, state.sweep[2])
+    if displaced:
+        momentum.clear_array(runs, count, shape, state.flat["dual_flux"])
+    else:
+        window = state.node_window((2, 2, 2), (2, 2, 2))
+        remap.nodal_masses(runs, count, window, shape, state.flat["mass"], state.flat["nodal_mass"])
+        if state.lost.size > 1:
+            momentum.specific_losses(runs, count, window, shape, state.flat["nodal_mass"], state.lost,
+                                     state.flat["dual_flux"])
     s = model.settings
     return force.nodal_forces(
         runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, last_dt, model.bulk,
         model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
-        state.stress, *state.velocity, *state.force, *state.sweep[:2], state.flat["mass_flux"],
-        model.energy_quantum * 1e9, ledger_power)
+        state.stress, *state.velocity, *state.force, displaced, *state.displacement, *state.sweep,
+        *(state.flat[n] for n in TO_HEAT), model.energy_quantum * 1e9, ledger_power)
+
+
+TO_HEAT = ("viscous_pressure", "hourglass_power", "mass_flux")
+"""What the forces leave for the deformation: viscous pressure, hourglass power, and, in an array that is free until the
+remap, the divergence of the velocity."""
 
 
 def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
@@ -79,29 +88,39 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
     return speeds
 
 
-def deform(state: State, model: Model, dt: float, ledger: Ledger, axis: int | None = None) -> tuple[float, int]:
-    """Strain the cells with the new velocity: stress, plastic flow, heating, closure, face fluxes.
+def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: bool = False) -> tuple[float, int]:
+    """Strain the cells with the new velocity: swept volumes of the faces, stress, plastic flow, heating, closure.
 
-    ``axis`` of the sweep that follows: what it carries is exchanged along it (None: everywhere).
+    ``displaced``: a step was taken since the last remap. Ghosts of what changes are not valid after.
     Returns the largest velocity-gradient norm (1/s) and the flat index of its cell.
     """
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     s = model.settings
     sums = np.zeros(6, dtype=np.int64)
+    full = state.cell_window((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
+    # (before the first step there is no displacement, nor memory for one where each step is remapped)
+    deformed.sweep_faces(runs, count, full, shape, displaced, dt / model.dx, *state.velocity,
+                         *(state.displacement if displaced else state.velocity), *state.sweep,
+                         state.flat["volume_flux"])
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, model.dx, s.largest_strain, model.bulk, model.eos, model.flow,
         (float(s.viscous_heating), float(s.loss_heating)), state.flat["mass"], state.flat["volume_fraction"],
-        state.energy, state.stress, state.flat["peeq"], state.flat["temperature"], *state.velocity, *state.sweep,
-        state.flat["mass_flux"], model.energy_quantum, sums)
+        state.energy, state.stress, state.flat["peeq"], state.flat["temperature"], *state.velocity, displaced,
+        *state.displacement, *state.sweep, state.flat["volume_flux"], *(state.flat[n] for n in TO_HEAT[:2]),
+        state.flat["dual_flux"], state.flat["mass_flux"], model.energy_quantum, sums)
     for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned"),
                            sums):
         ledger.add(name, value)
-    full = ((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
-    strain.face_fluxes(runs, count, state.cell_window(*full), shape, dt / model.dx, *state.velocity, *state.sweep)
-    state.exchange(("volume_fraction",))
-    state.exchange(state.carried_cells, axis=axis)
     return gradient, where
+
+
+def displace(state: State, model: Model, dt: float, displaced: bool) -> None:
+    """Move the nodes on and go on without a remap: ghosts as the next forces read them."""
+    runs, count = state.runs
+    deformed.move_nodes(runs, count, state.part.cell_shape[1:], not displaced, dt / model.dx, *state.velocity,
+                        *state.displacement)
+    state.exchange(state.strained_cells, layers=1)
 
 
 def finite(value: float) -> float:

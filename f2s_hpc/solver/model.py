@@ -11,7 +11,9 @@ class Settings(NamedTuple):
     """Numerical settings of the scheme (see the scene's ``numerics`` section)."""
 
     courant: float
-    remap_courant: float  # largest share of a cell that material may cross in a step
+    remap_courant: float  # largest share of a cell that material may cross between two remaps
+    steps_per_remap: int
+    strain_per_remap: float
     strain_per_step: float
     viscosity: tuple[float, float]  # linear, quadratic
     viscous_heating: bool

@@ -14,14 +14,15 @@ from f2s_hpc.state import State
 SWEEP_ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
 
 
-def sweep_order(step: int) -> tuple[int, int, int]:
-    """Return the axes in the order in which the remap of a step sweeps them."""
-    return SWEEP_ORDERS[step % len(SWEEP_ORDERS)]
+def sweep_order(number: int) -> tuple[int, int, int]:
+    """Return the axes in the order in which the remap of this number sweeps them."""
+    return SWEEP_ORDERS[number % len(SWEEP_ORDERS)]
 
 
-def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
-    """Carry every field back onto the grid; the order of the three sweeps changes every step.
+def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
+    """Carry every field back onto the grid; the order of the three sweeps changes with ``number``, that of the remap.
 
+    Valid before: ghosts of mass and velocity.
     The kinetic energy that the mixing of nodes takes is added to what light nodes lost in this step, and entered.
     """
     # where losses do not heat they are counted in an array that is free until the next forces
@@ -31,7 +32,9 @@ def remap_all(state: State, model: Model, step: int, ledger: Ledger) -> None:
     if not heats:
         momentum.clear_array(runs, count, state.part.cell_shape[1:], lost)
     done = 0
-    order = sweep_order(step)
+    order = sweep_order(number)
+    state.exchange(("volume_fraction",))
+    state.exchange(state.carried_cells, axis=order[0])
     for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)
         _sweep_nodes(state, model, axis, lost)

@@ -23,7 +23,9 @@ class Clock:
     cycle_start: float = 0.0
     in_cycle: float = 0.0
     steps: int = 0
+    remaps: int = 0
     dt: float | None = None
+    between_remaps: float = 0.0  # time (s) between the last two remaps
     limit: str = ""
     limits: timestep.Limits = field(default_factory=timestep.Limits)
     fastest_heavy: float = 0.0
@@ -36,36 +38,41 @@ class Clock:
         return self.cycle_start + self.in_cycle
 
 
-def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end: float) -> None:
-    """Take one step, or stop all ranks with ``UnstableStep``. ``cycle_end``: duration of the cycle (s).
+def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end: float,
+            most: int | None = None) -> None:
+    """Take Lagrangian steps on the moving mesh, then remap back onto the fixed one.
 
-    Lagrangian step on the moving mesh, then remap back onto the fixed one; velocity at half steps, everything else
-    at whole steps. Before and after, the ghosts that the next step reads are valid: all of mass, volume fraction and
-    velocity, the first layer of the other fields.
+    As many steps as the settings allow, at most ``most``; velocity at half steps, everything else at whole steps.
+    ``cycle_end``: duration of the cycle (s). Before and after, the ghosts that the next step reads are valid: all of
+    mass, volume fraction and velocity, the first layer of the other fields. Stops all ranks with ``UnstableStep``.
     """
     state.update_activity()
-    clock.active_cell_steps += state.active_cells()
-    power = np.zeros(1, dtype=np.int64)
-    limits = clock.limits
-    limits.wave, limits.wave_cell = lagrange.forces(state, model, clock.dt or 0.0, power)
-    size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle)
-    _refuse_collapse(state, model, size, limits)
-    dt, clock.stop = size.dt, bool(size.rates[4])
-    ledger.add_power("hourglass_power", power[0], dt)
+    since, started = timestep.SinceRemap(), clock.in_cycle
+    while True:
+        displaced, limits, power = since.steps > 0, clock.limits, np.zeros(1, dtype=np.int64)
+        limits.wave, limits.wave_cell = lagrange.forces(state, model, clock.dt or 0.0, power, displaced)
+        size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle, since)
+        _refuse_collapse(state, model, size, limits)
+        dt, since, clock.stop = size.dt, size.since, bool(size.rates[4])
+        ledger.add_power("hourglass_power", power[0], dt)
 
-    # from the middle of the last step to the middle of this one; at the start only the second half
-    lagrange.kick(state, model, 0.5 * (dt + (clock.dt or 0.0)), ledger)
-    limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
-    if model.settings.conduction:
-        heat.conduct(state, model, dt)
-    limits.gradient, limits.gradient_cell = lagrange.deform(
-        state, model, dt, ledger, remap.sweep_order(clock.steps)[0])
-    remap.remap_all(state, model, clock.steps, ledger)
+        # from the middle of the last step to the middle of this one; at the start only the second half
+        lagrange.kick(state, model, 0.5 * (dt + (clock.dt or 0.0)), ledger)
+        limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
+        last = size.last or since.steps == most
+        if model.settings.conduction and last:
+            heat.conduct(state, model, clock.in_cycle + dt - started, displaced)
+        limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger, displaced)
 
-    clock.fastest_heavy = max(clock.fastest_heavy, limits.heavy_speed)
-    clock.in_cycle += dt
-    clock.steps += 1
-    clock.dt, clock.limit = dt, size.limit
+        clock.active_cell_steps += state.active_cells()
+        clock.fastest_heavy = max(clock.fastest_heavy, limits.heavy_speed)
+        clock.in_cycle, clock.steps = clock.in_cycle + dt, clock.steps + 1
+        clock.dt, clock.limit = dt, size.limit
+        if last:
+            break
+        lagrange.displace(state, model, dt, displaced)
+    remap.remap_all(state, model, clock.remaps, ledger)
+    clock.remaps, clock.between_remaps = clock.remaps + 1, clock.in_cycle - started
 
 
 def _refuse_collapse(state: State, model: Model, size: timestep.StepSize, limits: timestep.Limits) -> None:

@@ -47,21 +47,35 @@ def locate(state: State, local_value: float, global_value: float, flat_index: in
 
 
 @dataclass
+class SinceRemap:
+    """What happened since the last remap, at most: steps, way of material (in cells), strain."""
+
+    steps: int = 0
+    moved: float = 0.0
+    strained: float = 0.0
+
+
+@dataclass
 class StepSize:
-    """The chosen step (s), the name of its limit, and the largest speeds seen (m/s)."""
+    """The chosen step (s), the name of its limit, and the rates that it follows from.
+
+    ``since``: what will have happened since the last remap when the step is done; ``last``: is a remap due then?
+    """
 
     dt: float
     limit: str
-    heavy_speed: float
     rates: np.ndarray
+    since: SinceRemap
+    last: bool
 
 
-def choose(state: State, model: Model, limits: Limits, previous: float | None, remaining: float) -> StepSize:
+def choose(state: State, model: Model, limits: Limits, previous: float | None, remaining: float,
+           since: SinceRemap) -> StepSize:
     """Return the step that every rank takes.
 
-    sound: courant dx / c (Lagrangian limit; c includes the shock viscosity); motion: remap_courant dx / |u|;
-    strain: strain_per_step / |grad v| of the last step; growth: 1.2 times the last step. Raises ``UnstableStep``
-    on all ranks, naming the cell, when a rate is not finite.
+    sound: courant dx / c (Lagrangian limit; c includes the shock viscosity); motion: what is left of remap_courant dx
+    since the last remap, over |u|; strain: strain_per_step / |grad v| of the last step; growth: 1.2 times the last
+    step. Raises ``UnstableStep`` on all ranks, naming the cell, when a rate is not finite.
     """
     rates = limits.over_ranks()
     if not np.isfinite(rates).all():
@@ -75,7 +89,7 @@ def choose(state: State, model: Model, limits: Limits, previous: float | None, r
     s = model.settings
     speed = max(light, heavy)
     sizes = [s.courant * model.dx / wave if wave > 0.0 else math.inf,
-             s.remap_courant * model.dx / speed if speed > 0.0 else math.inf,
+             (s.remap_courant - since.moved) * model.dx / speed if speed > 0.0 else math.inf,
              s.strain_per_step / gradient if gradient > 0.0 else math.inf,
              1.2 * previous if previous else math.inf]
     dt = min(sizes)
@@ -87,4 +101,9 @@ def choose(state: State, model: Model, limits: Limits, previous: float | None, r
         # the last steps of a cycle share what is left, so none of them is a sliver
         shared = remaining / steps_left
         dt, limit = shared, (limit if shared > 0.9 * dt else LIMITS[4])
-    return StepSize(float(dt), limit, float(heavy), rates)
+    moved, strained = dt * speed / model.dx, dt * gradient
+    # the step after this one would be about as large, by what is known on all ranks
+    last = (since.steps + 1 >= s.steps_per_remap or since.moved + 2.2 * moved > s.remap_courant
+            or since.strained + 2.2 * strained > s.strain_per_remap or dt >= remaining)
+    return StepSize(float(dt), limit, rates, SinceRemap(since.steps + 1, since.moved + moved,
+                                                        since.strained + strained), last)

@@ -55,9 +55,16 @@ class Setup:
     report: InsertReport | None = None
 
     def advance(self, steps: int) -> None:
-        """Take ``steps`` time steps of the size that the solver chooses."""
-        for _ in range(steps):
-            advance(self.state, self.model, self.clock, self.ledger, 1.0)
+        """Take ``steps`` time steps of the size that the solver chooses, and end with a remap."""
+        end = self.clock.steps + steps
+        while self.clock.steps < end:
+            advance(self.state, self.model, self.clock, self.ledger, 1.0, end - self.clock.steps)
+
+    def advance_to_remap(self) -> int:
+        """Step until the next remap is done; return how many steps that took."""
+        before = self.clock.steps
+        advance(self.state, self.model, self.clock, self.ledger, 1.0)
+        return self.clock.steps - before
 
     def advance_to(self, end: float) -> None:
         """Step to the time ``end`` (s) exactly."""
@@ -99,7 +106,8 @@ def make_setup(cells: Sequence[int], model: Model, spheres: Sequence[tuple[float
     ``grid``: process grid, chosen by the code if not given. Collective.
     """
     box = Box(tuple(cells), model.dx)
-    state = State(Decomposition(box, grid), sides or STANDARD_SIDES, model.eos._fields != ("bulk_modulus",))
+    state = State(Decomposition(box, grid), sides or STANDARD_SIDES, model.eos._fields != ("bulk_modulus",),
+                  displaced=model.settings.steps_per_remap > 1)
     setup = Setup(state, model, build_ledger(model))
     if substrate > 0.0:
         paint_substrate(state, substrate * model.dx, 298.15)

@@ -42,6 +42,17 @@ def _slab(options: Options) -> Iterator[Measured]:
                        steps=setup.clock.steps, cell_steps=sample.cell_steps(setup.clock), wall_s=watch.read())
 
 
+def mean_stress(old: float, new: float, plastic: float, strain: float, shear_modulus: float) -> float:
+    """Return the mean of the stresses before and after a step along its plastic strain (Pa).
+
+    ``old``, ``new``: von Mises stresses (Pa); ``plastic``: PEEQ increment; ``strain``: equivalent strain increment. The
+    trial stress, of size new + 3 G plastic, is parallel to the stress after; its elastic increment has the size
+    3 G strain; so the old stress along it follows from the law of cosines.
+    """
+    trial, elastic = new + 3.0 * shear_modulus * plastic, 3.0 * shear_modulus * strain
+    return 0.5 * (new + (trial * trial + old * old - elastic * elastic) / (2.0 * trial))
+
+
 def _plastic(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
         model = make_model(1e-6, options["material"], overrides=options.numerics)
@@ -52,13 +63,15 @@ def _plastic(options: Options) -> Iterator[Measured]:
         watch = Stopwatch()
         setup = few_cells(model, start)
         state = setup.state
-        step, work = 1.0 / level, 0.0
+        step, work, old = 1.0 / level, 0.0, 0.0
         for _ in range(math.ceil(options["shear"] / step)):
             before = state.owned("peeq")[0, 0, 0]
             shear_step(setup, options["rate"], step / options["rate"])
             parts = [state.owned(name)[0, 0, 0] for name in STRESS]
             mises = math.sqrt(1.5 * (sum(s * s for s in parts[:3]) + 2.0 * sum(s * s for s in parts[3:])))
-            work += mises * (state.owned("peeq")[0, 0, 0] - before)
+            work += mean_stress(old, mises, state.owned("peeq")[0, 0, 0] - before, step / math.sqrt(3.0),
+                                bulk.shear_modulus) * (state.owned("peeq")[0, 0, 0] - before)
+            old = mises
         warmer = bulk.taylor_quinney / (bulk.density * bulk.specific_heat)
         rise = float(state.owned("temperature")[0, 0, 0]) - start
         spread = float(mpi.maximum(np.abs(state.owned("temperature") - start - rise).max()))
@@ -86,10 +99,10 @@ full solver (steps limited by sound). Error: L2 norm of the difference over that
          _slab, (8, 16, 32), (16, 32, 64), {"thickness": "20 um", "decay": "0.1", "material": "copper-ge"},
          {"thickness": "length"}),
     Case("plastic-heating", """Heat of plastic work in sheared cells (Taylor-Quinney)
-Cells in simple shear, one Lagrangian step after another. The temperature rise against the sum of von Mises stress times
-PEEQ increment over rho c, times the Taylor-Quinney share (round-off of the temperature), and against the closed form
-for linear hardening, (Y + H e / 2) e (order 1 of backward Euler); the heat that the ledger counted. "cells" and "dx"
-stand for steps per unit shear and shear per step.""",
+Cells in simple shear, one Lagrangian step after another. The temperature rise against the sum of the step's mean stress
+(before and after, along the plastic strain) times PEEQ increment over rho c, times the Taylor-Quinney share (round-off
+of the temperature), and against the closed form for linear hardening, (Y + H e / 2) e (order 1 of backward Euler, or
+better); the heat that the ledger counted. "cells" and "dx" stand for steps per unit shear and shear per step.""",
          _plastic, (50, 100, 200), (100, 300, 1000),
          {"shear": "1.0", "rate": "1e6 1/s", "temperature": "25 degC", "material": "copper-taylor"},
          {"rate": "rate", "temperature": "temperature"}),

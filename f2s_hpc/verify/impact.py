@@ -180,7 +180,7 @@ def _shares(result: Splat, level: float) -> Iterator[Measured]:
 
 def _remainder_falls(impact: Impact, result: Splat, level: float, options: Options) -> Iterator[Measured]:
     """Yield the remainder with half the Courant number over that with the whole one; it must be below one."""
-    limits = ("courant", "remap_courant", "strain_per_step")
+    limits = ("courant", "remap_courant", "strain_per_step", "strain_per_remap")
     halves = (f"numerics.{name}={0.5 * getattr(result.settings, name)!r}" for name in limits)
     halved = splat(impact, level, (*options.numerics, *halves))
     before, after = abs(_unexplained(result)), abs(_unexplained(halved))

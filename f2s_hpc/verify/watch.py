@@ -49,6 +49,9 @@ PEEQ_BAR = 1e-12
 LEAST_PEEQ = -1e-12
 """The limited remap of a field that is zero next to one that is not rounds to either side of zero."""
 
+LAST_STEPS = 30
+"""The last steps of a run are single ones: a look needs half of what the very last one did."""
+
 MOST_STEPS = 200_000
 """A run that takes more steps than this has failed."""
 
@@ -116,21 +119,27 @@ class Watch:
         Raises ``Broken``, ``UnstableStep``. Collective.
         """
         self.look()
-        clock = self.setup.clock
+        clock, looked = self.setup.clock, self.setup.clock.steps
         end = duration * (1.0 - 1e-12)
         while clock.in_cycle < end:
-            self.step(duration)
-            if clock.steps % interval == 0 or clock.in_cycle >= end:
+            looks = clock.steps - looked >= interval - 1
+            ends = duration - clock.in_cycle < LAST_STEPS * (clock.dt or duration)
+            self.step(duration, 1 if looks or ends else None)
+            if looks or clock.in_cycle >= end:
+                looked = clock.steps
                 self.look(self.half_step, clock.in_cycle >= end)
             if clock.steps > MOST_STEPS:
                 raise Broken(f"not at the end after {MOST_STEPS} steps; the step is {clock.dt:.3g} s, limited by "
                              f"{clock.limit}")
 
-    def step(self, duration: float) -> None:
-        """Take one step towards ``duration`` (s, of this cycle)."""
+    def step(self, duration: float, most: int | None) -> None:
+        """Step towards ``duration`` (s, of this cycle) until the next remap, that is after ``most`` steps at most.
+
+        Only where it was one step can the state be looked at: ``half_step`` is half of all that was done.
+        """
         s = self.setup
         before = self._spent()
-        advance(s.state, s.model, s.clock, s.ledger, duration)
+        advance(s.state, s.model, s.clock, s.ledger, duration, most)
         self.half_step = 0.5 * (self._spent() - before)
         self.limits[s.clock.limit] += 1
 

@@ -19,8 +19,10 @@ from f2s_hpc.grid.box import GHOST, Box, Part
 from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.particles.batch import BatchPlan
 
-BASELINE = 252 * 2**20
-"""Interpreter, numpy, numba with all compiled kernels, PETSc, MPI and HDF5, before any field is allocated (bytes)."""
+BASELINE = 268 * 2**20
+"""Interpreter, numpy, numba with all compiled kernels, PETSc, MPI and HDF5, before any field is allocated (bytes).
+
+250 and 285 MiB on two machines with the same packages; this is the middle."""
 
 TEMPORARY = 80
 """Per local cell: arrays made while a batch is painted, a cycle is measured or a frame is written (bytes)."""
@@ -71,7 +73,7 @@ def touched_planes(scene: Scene, plan: BatchPlan) -> int:
 
 def of_fields(scene: Scene, part: Part, planes: int) -> int:
     """Return the bytes of all fields of a rank, ghosts included, in the lowest ``planes`` of the box or its end."""
-    needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    needed = scene.needed_fields
     share = min(1.0, (planes + 3 * GHOST) / part.cell_shape[0])
     cells, nodes = math.prod(part.cell_shape), math.prod(part.node_shape)
     return round(8 * share * sum(nodes if f.location == fields.NODE else cells for f in needed))
@@ -80,7 +82,7 @@ def of_fields(scene: Scene, part: Part, planes: int) -> int:
 def _mapped(scene: Scene, neighbours: tuple[int, int, int], count: tuple[int, int, int]) -> int:
     """Return ghosts of other ranks times exchanged fields, for a rank with so many neighbours along x, y, z."""
     ghosts = math.prod(n + GHOST * m for n, m in zip(count, neighbours)) - math.prod(count)
-    needed = fields.needed(scene.mie_grueneisen, scene.numerics.loss_heating, scene.output.origin)
+    needed = scene.needed_fields
     # maps for all that has ghosts; for velocity and what moves with the cells deep, in one layer and along each axis
     moving = sum(f.advected and f.location == fields.CELL for f in needed)
     return ghosts * (2 * (len(fields.VELOCITY) + moving) + sum(f.ghosted for f in needed))

@@ -39,7 +39,8 @@ network takes 1 to 2 us, and a link of 25 GB/s is shared by the ranks of a node 
 class Rates:
     """Measured costs of the step on one core (seconds, bytes/s).
 
-    ``exchanges``: how many cell and node fields each ghost exchange of a step carries; ``reductions``: of a step;
+    ``exchanges``: how many cell and node fields each ghost exchange carries in ``steps`` steps, from remap to remap;
+    ``reductions``: of a step;
     ``sizes``: by which factor a step on so many active cells, ghosts included, is slower than the model says (caches).
     """
 
@@ -49,6 +50,7 @@ class Rates:
     packing: float
     exchanges: tuple[tuple[float, float], ...]
     reductions: int = 1
+    steps: int = 1
     where: str = ""
     sizes: tuple[tuple[int, float], ...] = ()
 
@@ -100,10 +102,10 @@ def _parts(scene: Scene, ranges: Ranges) -> tuple[np.ndarray, np.ndarray]:
 def message_seconds(scene: Scene, ranges: Ranges, rates: Rates, network: Network) -> tuple[np.ndarray, np.ndarray]:
     """Return seconds and bytes that the messages of a step cost each rank, [z, y, x] of the process grid."""
     ghosts, neighbours = _parts(scene, ranges)
-    fields = sum(cells + nodes for cells, nodes in rates.exchanges)
+    fields = sum(cells + nodes for cells, nodes in rates.exchanges) / rates.steps
     sent = 8 * ghosts * fields
     reductions = rates.reductions * 2.0 * math.log2(max(neighbours.size, 1)) * network.latency
-    seconds = (len(rates.exchanges) * neighbours * network.latency + reductions
+    seconds = (len(rates.exchanges) / rates.steps * neighbours * network.latency + reductions
                + sent * (1.0 / network.bandwidth + 1.0 / rates.packing))
     return seconds, sent
 
