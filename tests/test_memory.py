@@ -66,7 +66,8 @@ def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
     """No energy without Mie-Grueneisen pressure, no origin unless asked for, no losses unless they heat, no
     displaced mesh where each step is remapped.
     """
-    coarse = {"wide-100k": "80 um", "section4": "15 um", "section4-standard": "15 um"}.get(name)
+    coarse = {"wide-100k": "80 um", "section4": "15 um", "section4-standard": "15 um", "multitrack": "15 um"}.get(
+        name, "16 um" if name.startswith("track") else None)
     size = [f"domain.cell_size={coarse}"] if coarse else []
     for overrides, missing in (([], set()), (["numerics.loss_heating=false"], {"lost_energy"}),
                                (["numerics.steps_per_remap=1"], set(fields.DISPLACEMENT))):
