@@ -28,6 +28,7 @@ from f2s_hpc.config.quantities import (
 Face = Literal["symmetry", "fixed", "free", "outflow"]
 DERIVED_FIELDS = ("pressure", "von_mises", "speed")
 SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
+LEAST_TRACERS = 10
 MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
 
 
@@ -247,6 +248,8 @@ class Output(Section):
     progress_seconds: Time = Field(default=5.0, description="wall time between progress lines, s")
     picture: Switch = Field(default=True, description="a picture at the end")
     origin: Switch = Field(default=False, description="follow which share of each cell came with the particles")
+    tracers: Whole = Field(default=0, ge=0, le=100000, description="material points that follow each particle, for its "
+                                                                   "exact shape and flattening; 0: none")
 
     @field_validator("fields")
     @classmethod
@@ -256,6 +259,13 @@ class Output(Section):
                 raise ValueError(f'there is no field "{name}"; possible: {", ".join(SHOWN_FIELDS)}')
         if len(set(value)) < len(value):
             raise ValueError("a field is named twice")
+        return value
+
+    @field_validator("tracers")
+    @classmethod
+    def _enough(cls, value: int) -> int:
+        if 0 < value < LEAST_TRACERS:
+            raise ValueError(f"must be 0, or at least {LEAST_TRACERS}: fewer points have no shape")
         return value
 
 
