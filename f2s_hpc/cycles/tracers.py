@@ -13,6 +13,7 @@ import numpy as np
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
+from f2s_hpc.grid.box import SIDES
 from f2s_hpc.io.layout import Block
 from f2s_hpc.io.tracers import ParticleTable, TracerCloud
 from f2s_hpc.kernels.tracers import move_points
@@ -21,8 +22,8 @@ from f2s_hpc.particles.cloud import unit_ball
 from f2s_hpc.state import State
 
 TOGETHER = 4
-"""Steps between two migrations. A point flies less than half a cell in a step, so it strays two cells at most; what it
-reads there, one cell further included, is in the ghosts."""
+"""Steps between two migrations: a point strays three cells at most, and what it reads there, one cell further
+included, is in the ghosts."""
 
 SORTED = 64
 """Steps between two sortings: points of neighbouring cells lie together in memory, which makes moving them three times
@@ -48,6 +49,9 @@ class Tracers:
         self.first = np.empty(0, dtype=np.int64)
         self.count = 0
         self.box = state.part.box
+        walls = [state.boundary.kinds[side] in ("symmetry", "fixed") for side in SIDES]
+        self._low = tuple(0.0 if wall else -math.inf for wall in walls[::2])
+        self._high = tuple(e if wall else math.inf for wall, e in zip(walls[1::2], self.box.extents))
         starts = mpi.all_gather(state.part.start)
         self._starts = [np.unique([start[axis] for start in starts]) for axis in range(3)]
         self._ranks = np.empty([len(s) for s in self._starts], dtype=np.int64)
@@ -79,8 +83,8 @@ class Tracers:
     def move(self, state: State, dt: float, steps: int) -> None:
         """Move all points over the step of ``dt`` (s) that has just been taken, the run's ``steps``-th. Collective."""
         part = state.part
-        move_points(*self.place, dt, self.box.dx, self.box.cells, part.offset, part.cell_shape[1:], state.flat["mass"],
-                    *state.velocity)
+        move_points(*self.place, dt, self.box.dx, self.box.cells, self._low, self._high, part.offset,
+                    part.cell_shape[1:], state.flat["mass"], *state.velocity)
         if steps % TOGETHER == 0:
             self.migrate()
         if steps % SORTED == 0:
