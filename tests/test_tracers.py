@@ -38,7 +38,7 @@ SCENE = """
 title = "Impacts in a small box"
 
 [domain]
-size = ["90 um", "102 um", "180 um"]
+size = ["90 um", "102 um", "216 um"]
 cell_size = "6 um"
 substrate_height = "36 um"
 particle_layer_height = "144 um"
@@ -63,8 +63,8 @@ diameter_max = "48 um"
 
 [cycles]
 count = 2
-duration = "50 ns"
-last_duration = "150 ns"
+duration = "0.1 us"
+last_duration = "0.25 us"
 
 [output]
 picture = false
@@ -144,7 +144,7 @@ def test_in_free_flight_points_keep_their_relative_places():
         setup.advance(1)
         tracers.move(setup.state, setup.clock.dt, setup.clock.steps)
     way = np.array(velocity) * setup.clock.in_cycle
-    assert abs(way[2]) > 7 * DX
+    assert abs(way[2]) > 4.5 * DX
     assert np.abs(positions(tracers, setup.state) - before - way).max() < 1e-10 * DX
     assert tracers.census(setup.state) == {"tracers": 100, "tracers_in_void": 0, "tracers_outside": 0}
 
@@ -200,15 +200,18 @@ def test_no_point_passes_a_wall_and_one_that_left_is_counted():
     setup = make_setup((12, 16, 16), make_model(DX), sides=sides)
     state = setup.state
     state.views["mass"][...] = np.where((node_coordinates(state)[0][:, :, :-1] >= 1.0), 1.0, 0.0)
-    state.views["velocity_x"][...] = -600.0
+    # on its way up the first point meets ever faster nodes, so its second round leads further than the first
+    z = node_coordinates(state)[2]
+    state.views["velocity_x"][...] = np.where(z <= 8.0, -100.0, -1000.0)
     state.views["velocity_y"][...] = 600.0
+    state.views["velocity_z"][...] = 600.0
     tracers = Tracers(10, state)
     tracers.cloud = np.zeros((1, 3))
     tracers.seed(Batch(*(np.array([[0.1, 8.0, 8.2], [6.5, 15.9, 8.2]]) * DX).T, np.full(2, 1e-9)), 0.0)
-    for number in range(1, 3):
-        tracers.move(state, 1e-9, number)
+    tracers.move(state, 1e-9, 1)
+    assert mpi.minimum(min((*tracers.place[0], np.inf))) == 0.0
+    tracers.move(state, 1e-9, 2)
     places = positions(tracers, state)
-    assert places[0, 0] == 0.0
     assert places[1, 1] == pytest.approx(15.9 * DX + 6e-7)  # not moved on outside
     assert tracers.census(state) == {"tracers": 2, "tracers_in_void": 1, "tracers_outside": 1}
 
@@ -294,8 +297,8 @@ def test_a_scene_without_tracers_has_none(one_rank, tmp_path, monkeypatch):
     assert trace(load_deposit(tmp_path / "run")) is None
 
 
-@pytest.mark.parametrize(("value", "said"), [("5", "at least 10"), ("-1", "0"), ("20.5", "integer"),
-                                             ("200000", "100000"), ('"many"', "integer")])
+@pytest.mark.parametrize(("value", "said"), [("5", "at least 10"), ("-1", "0"), ("20.5", "whole number"),
+                                             ("200000", "100000"), ('"many"', "whole number")])
 def test_a_wrong_number_of_tracers_is_one_line(capsys, value, said):
     assert main(["check", "quickstart", "--set", f"output.tracers={value}"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
