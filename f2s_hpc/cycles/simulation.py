@@ -162,14 +162,12 @@ class Simulation:
         if not self.batch_is_in:
             self.insert()
         clock = self.clock
+        follow = None if self.tracers is None else self._follow
         while clock.in_cycle < duration * (1.0 - 1e-12):
             clock.limits.stop = self.stop.asked()
             if self.flight is not None:
                 self._land()
-            before = clock.in_cycle
-            advance(self.state, self.model, clock, self.ledger, duration)
-            if self.tracers is not None:
-                self.tracers.move(self.state, clock.in_cycle - before, clock.steps)
+            advance(self.state, self.model, clock, self.ledger, duration, None, follow)
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
             if clock.time >= self.next_frame_time:
                 self._frame()
@@ -250,6 +248,10 @@ class Simulation:
             f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
             f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
             + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))
+
+    def _follow(self, dt: float, displaced: bool) -> None:
+        """Move the tracers with the nodes."""
+        self.tracers.move(self.state, dt, displaced, self.clock.remaps)
 
     def _checkpoint(self) -> pathlib.Path:
         more = [] if self.tracers is None else self.tracers.blocks()

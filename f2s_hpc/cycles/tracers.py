@@ -22,11 +22,11 @@ from f2s_hpc.particles.cloud import unit_ball
 from f2s_hpc.state import State
 
 TOGETHER = 4
-"""Steps between two migrations: a point strays three cells at most, and what it reads there, one cell further
+"""Remaps between two migrations: a point strays three cells at most, and what it reads there, one cell further
 included, is in the ghosts."""
 
 SORTED = 64
-"""Steps between two sortings: points of neighbouring cells lie together in memory, which makes moving them three times
+"""Remaps between two sortings: points of neighbouring cells lie together in memory, which makes moving them three times
 as fast."""
 
 PLACES = ("tracer_x", "tracer_y", "tracer_z")
@@ -80,14 +80,17 @@ class Tracers:
         self.place = [np.concatenate([old, new[mine, axis]]) for axis, old in enumerate(self.place)]
         self.count += len(new)
 
-    def move(self, state: State, dt: float, steps: int) -> None:
-        """Move all points over the step of ``dt`` (s) that has just been taken, the run's ``steps``-th. Collective."""
+    def move(self, state: State, dt: float, displaced: bool, remaps: int) -> None:
+        """Move all points with the nodes, before the remap that follows ``remaps`` others. Collective.
+
+        ``dt``: the step (s) just taken; ``displaced``: others before it since the last remap have moved the nodes.
+        """
         part = state.part
-        move_points(*self.place, dt, self.box.dx, self.box.cells, self._low, self._high, part.offset,
-                    part.cell_shape[1:], state.flat["mass"], *state.velocity)
-        if steps % TOGETHER == 0:
+        move_points(*self.place, dt / self.box.dx, self.box.dx, self.box.cells, self._low, self._high, part.offset,
+                    part.cell_shape[1:], state.flat["mass"], *state.velocity, displaced, *state.displacement)
+        if remaps % TOGETHER == 0:
             self.migrate()
-        if steps % SORTED == 0:
+        if remaps % SORTED == 0:
             i, j, k = self._cells(self.place)
             order = np.argsort((k * self.box.cells[1] + j) * self.box.cells[0] + i, kind="stable")
             self._keep(self.number[order], [a[order] for a in self.place])

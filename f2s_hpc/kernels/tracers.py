@@ -1,18 +1,18 @@
-"""Material points that move with the velocity of the nodes."""
+"""Material points that move with the nodes."""
 
 from __future__ import annotations
 
 from f2s_hpc._jit import borrowed, inlined, kernel
 
 FARTHEST = 0.75
-"""Cells along an axis that a point may fly in a step: four steps so lead at most three cells into the ghosts."""
+"""Cells along an axis that a point may move from remap to remap: four times so lead three cells into the ghosts."""
 
 
 @kernel
 def _near_material(a, b, c, k, j, i, shape, mass, u, v, w):
-    """Velocity in a void cell: that of its nodes, each weighted with its mass and its trilinear weight.
+    """Mean of a node field in a void cell: each node counts with its mass times its trilinear weight.
 
-    A node without material keeps the velocity zero, so the plain mean would hold a point back that has come to lie
+    A node without material stays at rest, so the plain mean would hold a point back that has come to lie
     just outside of the material. Where none of the nodes has any, there is nothing to move with: zero.
     """
     ny, nx = shape
@@ -37,63 +37,60 @@ def _near_material(a, b, c, k, j, i, shape, mass, u, v, w):
 
 
 @inlined
-def _blend(a, b, c, q):
-    """Trilinear mean of eight corner values; where all agree, it has their very bits."""
-    low, high = q[0] + a * (q[1] - q[0]), q[2] + a * (q[3] - q[2])
+def _blend(a, b, c, n, row, plane, q):
+    """Trilinear mean of the corner values of cell n; where all agree, it has their very bits."""
+    m = n + plane
+    low, high = q[n] + a * (q[n + 1] - q[n]), q[n + row] + a * (q[n + row + 1] - q[n + row])
     below = low + b * (high - low)
-    low, high = q[4] + a * (q[5] - q[4]), q[6] + a * (q[7] - q[6])
+    low, high = q[m] + a * (q[m + 1] - q[m]), q[m + row] + a * (q[m + row + 1] - q[m + row])
     above = low + b * (high - low)
     return below + c * (above - below)
 
 
 @kernel
-def move_points(x, y, z, dt, dx, cells, low, high, offset, shape, mass, u, v, w):
-    """Move points over a step ``dt`` (s) with the velocity field that the step ended with.
+def move_points(x, y, z, step, dx, cells, low, high, offset, shape, mass, u, v, w, displaced, p, q, r):
+    """Move points with the nodes from one remap to the next; call before the remap.
 
-    ``x``, ``y``, ``z``: places (m), changed; ``cells``: of the whole box (x, y, z); ``low``, ``high``: where no point
-    may pass (m), the walls, infinite at an open side; ``offset``: global index (i, j, k) of the first local cell;
-    ``shape``: (ny, nx) of a local cell array; ``mass``: flat cell array; ``u``, ``v``, ``w``: flat node arrays. Ghosts
+    ``x``, ``y``, ``z``: places (m) right after the last remap, changed; ``step``: the last Lagrangian step over the
+    cell width ``dx`` (s/m); ``cells``: of the whole box (x, y, z); ``low``, ``high``: where no point may pass (m), the
+    walls, infinite at an open side; ``offset``: global index (i, j, k) of the first local cell; ``shape``: (ny, nx) of
+    a local cell array; ``mass``: flat cell array; ``u``, ``v``, ``w``: velocity in the last step, flat node arrays;
+    ``p``, ``q``, ``r``: where the steps before it displaced the nodes (in cells), if they did (``displaced``). Ghosts
     as far as the points have strayed, and one layer more, must be valid.
 
-    A step moves the material with the velocity at its middle and then puts that velocity where the material has
-    arrived (remap). So x(end) = x(start) + dt u(x(end)), which two rounds from x(start) solve to third order in dt.
-    In a void cell see ``_near_material``. Points outside of the box, which left through an open side, stay where they
-    are, and so does one that would fly further than ``FARTHEST``: such a step is unstable, as the solver will say.
+    Between two remaps a cell is the trilinear image of a cube, so a point moves by the trilinear mean of what its
+    cell's nodes have moved: exactly with the mesh of the solver, to second order in the step. In a void cell see
+    ``_near_material``. Points outside of the box, which left through an open side, stay where they are, and so does one
+    that would move further than ``FARTHEST``: such a step is unstable, as the solver will say.
     """
     ny, nx = shape
     row, plane = nx + 1, (nx + 1) * (ny + 1)
-    mass, u, v, w = borrowed(mass), borrowed(u), borrowed(v), borrowed(w)
-    per_cell, step = 1.0 / dx, dt / dx
-    none = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for p in range(x.size):
-        px, py, pz = x[p] * per_cell, y[p] * per_cell, z[p] * per_cell
-        if not (0.0 <= px <= cells[0] and 0.0 <= py <= cells[1] and 0.0 <= pz <= cells[2]):
+    mass, u, v, w, p, q, r = (borrowed(mass), borrowed(u), borrowed(v), borrowed(w), borrowed(p), borrowed(q),
+                              borrowed(r))
+    per_cell = 1.0 / dx
+    for n in range(x.size):
+        a, b, c = x[n] * per_cell, y[n] * per_cell, z[n] * per_cell
+        if not (0.0 <= a <= cells[0] and 0.0 <= b <= cells[1] and 0.0 <= c <= cells[2]):
             continue
-        vx, vy, vz = 0.0, 0.0, 0.0
-        before, cu, cv, cw = -1, none, none, none
-        for _ in range(2):
-            ax = min(max(px + step * vx, 0.0), float(cells[0]))
-            ay = min(max(py + step * vy, 0.0), float(cells[1]))
-            az = min(max(pz + step * vz, 0.0), float(cells[2]))
-            # a point on the high side belongs to the last cell
-            i, j, k = min(int(ax), cells[0] - 1), min(int(ay), cells[1] - 1), min(int(az), cells[2] - 1)
-            a, b, c = ax - i, ay - j, az - k
-            i, j, k = i - offset[0], j - offset[1], k - offset[2]
-            n = k * plane + j * row + i
-            if n != before and mass[(k * ny + j) * nx + i] > 0.0:
-                m = n + plane
-                cu = (u[n], u[n + 1], u[n + row], u[n + row + 1], u[m], u[m + 1], u[m + row], u[m + row + 1])
-                cv = (v[n], v[n + 1], v[n + row], v[n + row + 1], v[m], v[m + 1], v[m + row], v[m + row + 1])
-                cw = (w[n], w[n + 1], w[n + row], w[n + row + 1], w[m], w[m + 1], w[m + row], w[m + row + 1])
-                before = n
-            if n == before:
-                vx, vy, vz = _blend(a, b, c, cu), _blend(a, b, c, cv), _blend(a, b, c, cw)
-            else:
-                vx, vy, vz = _near_material(a, b, c, k, j, i, shape, mass, u, v, w)
-            if not (step * abs(vx) <= FARTHEST and step * abs(vy) <= FARTHEST and step * abs(vz) <= FARTHEST):
-                vx, vy, vz = 0.0, 0.0, 0.0
-                break
-        # no node on a wall moves through it, but in a void cell it may be another one that counts
-        x[p] = min(max(x[p] + dt * vx, low[0]), high[0])
-        y[p] = min(max(y[p] + dt * vy, low[1]), high[1])
-        z[p] = min(max(z[p] + dt * vz, low[2]), high[2])
+        # a point on the high side belongs to the last cell
+        i, j, k = min(int(a), cells[0] - 1), min(int(b), cells[1] - 1), min(int(c), cells[2] - 1)
+        a, b, c = a - i, b - j, c - k
+        i, j, k = i - offset[0], j - offset[1], k - offset[2]
+        ex, ey, ez = 0.0, 0.0, 0.0
+        if mass[(k * ny + j) * nx + i] > 0.0:
+            at = k * plane + j * row + i
+            mx, my, mz = _blend(a, b, c, at, row, plane, u), _blend(a, b, c, at, row, plane, v), _blend(
+                a, b, c, at, row, plane, w)
+            if displaced:
+                ex, ey, ez = _blend(a, b, c, at, row, plane, p), _blend(a, b, c, at, row, plane, q), _blend(
+                    a, b, c, at, row, plane, r)
+        else:
+            mx, my, mz = _near_material(a, b, c, k, j, i, shape, mass, u, v, w)
+            if displaced:
+                ex, ey, ez = _near_material(a, b, c, k, j, i, shape, mass, p, q, r)
+        ex, ey, ez = ex + step * mx, ey + step * my, ez + step * mz
+        if abs(ex) <= FARTHEST and abs(ey) <= FARTHEST and abs(ez) <= FARTHEST:
+            # no node on a wall moves through it, but in a void cell it may be another one that counts
+            x[n] = min(max(x[n] + dx * ex, low[0]), high[0])
+            y[n] = min(max(y[n] + dx * ey, low[1]), high[1])
+            z[n] = min(max(z[n] + dx * ez, low[2]), high[2])

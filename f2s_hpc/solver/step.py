@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,12 +40,14 @@ class Clock:
 
 
 def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end: float,
-            most: int | None = None) -> None:
+            most: int | None = None, follow: Callable[[float, bool], None] | None = None) -> None:
     """Take Lagrangian steps on the moving mesh, then remap back onto the fixed one.
 
     As many steps as the settings allow, at most ``most``; velocity at half steps, everything else at whole steps.
     ``cycle_end``: duration of the cycle (s). Before and after, the ghosts that the next step reads are valid: all of
     mass, volume fraction and velocity, the first layer of the other fields. Stops all ranks with ``UnstableStep``.
+    ``follow`` is called before the remap, for what moves with the nodes: with the last step (s), and whether others
+    before it have displaced them.
     """
     state.update_activity()
     since, started = timestep.SinceRemap(), clock.in_cycle
@@ -71,6 +74,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         if last:
             break
         lagrange.displace(state, model, dt, displaced)
+    if follow is not None:
+        follow(dt, displaced)
     remap.remap_all(state, model, clock.remaps, ledger)
     clock.remaps, clock.between_remaps = clock.remaps + 1, clock.in_cycle - started
 
