@@ -29,6 +29,9 @@ SORTED = 64
 """Remaps between two sortings: points of neighbouring cells lie together in memory, which makes moving them three times
 as fast."""
 
+SEEDED = 100_000
+"""Points seeded at once, at least those of one sphere: every rank makes all of them, to keep its own."""
+
 PLACES = ("tracer_x", "tracer_y", "tracer_z")
 """Names of the places in a checkpoint (m), in the order of the points' numbers."""
 
@@ -67,18 +70,24 @@ class Tracers:
         """
         extents = self.box.extents
         centres = np.stack([batch.x, batch.y, batch.z], axis=1)
-        points = centres[:, None, :] + batch.r[:, None, None] * self.cloud
-        inside = ((points >= 0.0) & (points <= extents)).all(axis=2)
         cut = ((centres - batch.r[:, None] < 0.0) | (centres + batch.r[:, None] > extents)).any(axis=1)
-        kept = inside.sum(axis=1)
-        self.first = np.concatenate([self.first, self.count + np.cumsum(kept) - kept])
+        kept = np.empty(batch.count, dtype=np.int64)
+        numbers, places, first = [self.number], [[a] for a in self.place], self.count
+        at_once = max(1, SEEDED // self.per_particle)
+        for spheres in (slice(s, s + at_once) for s in range(0, batch.count, at_once)):
+            points = centres[spheres, None, :] + batch.r[spheres, None, None] * self.cloud
+            inside = ((points >= 0.0) & (points <= extents)).all(axis=2)
+            kept[spheres] = inside.sum(axis=1)
+            new = points[inside]
+            mine = self._owners(new.T) == mpi.rank()
+            numbers.append((self.count + np.arange(len(new)))[mine])
+            for axis, parts in enumerate(places):
+                parts.append(new[mine, axis])
+            self.count += len(new)
+        self._keep(np.concatenate(numbers), [np.concatenate(parts) for parts in places])
+        self.first = np.concatenate([self.first, first + np.cumsum(kept) - kept])
         self.particles = self.particles.with_more(
             ParticleTable(2.0 * batch.r, centres, np.full(batch.count, time), cut))
-        new = points[inside]
-        mine = self._owners(new.T) == mpi.rank()
-        self.number = np.concatenate([self.number, (self.count + np.arange(len(new)))[mine]])
-        self.place = [np.concatenate([old, new[mine, axis]]) for axis, old in enumerate(self.place)]
-        self.count += len(new)
 
     def move(self, state: State, dt: float, displaced: bool, remaps: int) -> None:
         """Move all points with the nodes, before the remap that follows ``remaps`` others. Collective.
@@ -182,7 +191,9 @@ class Tracers:
 
 def _exchanged(rows: np.ndarray, rank: np.ndarray) -> np.ndarray:
     """Return the rows that all ranks have for this one; ``rank``: whose each row is. Collective."""
-    return mpi.exchange_rows([rows[rank == r] for r in range(mpi.size())])
+    order = np.argsort(rank, kind="stable")
+    ends = np.searchsorted(rank[order], np.arange(1, mpi.size()))
+    return mpi.exchange_rows(np.split(rows[order], ends))
 
 
 def check_same(asked: int, saved: dict | None) -> None:

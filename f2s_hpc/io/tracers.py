@@ -119,8 +119,8 @@ def _prepare(file: h5py.File, cycle: int, cloud: TracerCloud) -> None:
         group = root.create_group(kind)
         _filled(group, "NumberOfCells", np.array([cells], dtype=np.int64))
         _filled(group, "NumberOfConnectivityIds", np.array([cells], dtype=np.int64))
-        _filled(group, "Offsets", np.arange(cells + 1, dtype=np.int64))
-        _filled(group, "Connectivity", np.arange(cells, dtype=np.int64))
+        _counted(group, "Offsets", cells + 1)
+        _counted(group, "Connectivity", cells)
     own = file.create_group(layout.PROVENANCE_GROUP)
     own.attrs["format"] = np.int64(layout.FORMAT_VERSION)
     own.attrs["cycle"] = np.int64(cycle)
@@ -136,6 +136,13 @@ def _filled(group: h5py.Group, name: str, values: np.ndarray) -> None:
     dataset = group.create_dataset(name, values.shape, dtype=values.dtype)
     if mpi.is_root() and values.size:
         dataset[...] = values
+
+
+def _counted(group: h5py.Group, name: str, size: int) -> None:
+    """Add a dataset of the integers from 0 on, which only rank 0 makes."""
+    dataset = group.create_dataset(name, (size,), dtype=np.int64)
+    if mpi.is_root() and size:
+        dataset[...] = np.arange(size, dtype=np.int64)
 
 
 def read_tracers(folder: str | os.PathLike, cycle: int) -> TracerCloud | None:

@@ -165,14 +165,14 @@ def flattening_verdict(names: Sequence[str], first: Measurements, second: Measur
 
     By their tracers where both have them, else by their sections.
     """
-    flats = [m.flattening if first.traced is None or second.traced is None else m.traced.flattening
-             for m in (first, second)]
+    by_tracers = first.traced is not None and second.traced is not None
+    flats = [m.traced.flattening if by_tracers else m.flattening for m in (first, second)]
     tests: dict[str, MeanDifference | None] = {
         text: mean_difference(getattr(flats[0], key), getattr(flats[1], key))
         for key, text in (("equation_5", "W/H, Eq. (5)"), ("equation_6", "W/D, Eq. (6)"))}
     if any(test is None for test in tests.values()):
-        return (f"Which flattens more cannot be told: {flats[0].count} and {flats[1].count} particles were found in "
-                "the sections.")
+        return (f"Which flattens more cannot be told: {flats[0].count} and {flats[1].count} particles were "
+                f"{'measured by their tracers' if by_tracers else 'found in the sections'}.")
     numbers = "; ".join(
         f"mean {text}: {test.first:.3f} against {test.second:.3f} (difference {test.difference:+.3f}, 90 % interval "
         f"{test.low:+.3f} to {test.high:+.3f})" for text, test in tests.items())
