@@ -253,7 +253,7 @@ def test_in_a_cell_with_a_free_surface_void_closes_and_not_the_material(axis, di
     tracers.move(state, 1e-9, displaced, TOGETHER)
     moved = positions(tracers, state) / DX - start
     assert moved[0, axis] == pytest.approx(0.3 * (-0.1) - 0.3 * (stretch - 0.1), rel=1e-9)
-    assert moved[1, axis] == pytest.approx(0.8 * (-0.1) - 0.5 * (stretch - 0.1), rel=1e-9)  # as deep as the material
+    assert moved[1, axis] == pytest.approx(0.8 * (-0.1), rel=1e-9)  # outside already, so no further
     assert moved[2, axis] == pytest.approx(0.0, abs=1e-12)
     assert moved[:, side] == pytest.approx(stretch * 0.2, rel=1e-9)
 
@@ -300,7 +300,7 @@ def test_tracers_have_the_width_of_the_material(tmp_path):
     assert cloud.position[:, 2].mean() == pytest.approx(mean[2], abs=0.4e-6)
     middle = arrays["volume_fraction"][:, 11:13, 11:13].mean(axis=(1, 2))
     above = np.abs(cloud.position[:, :2] - 48e-6).max(axis=1) < 4e-6
-    assert cloud.position[above, 2].max() == pytest.approx(4e-6 * middle.sum(), abs=0.2e-6)
+    assert cloud.position[above, 2].max() == pytest.approx(4e-6 * middle.sum(), abs=0.4e-6)
     assert found.width[0] == pytest.approx(2.0 * np.sqrt(2.5 * (spread[0] + spread[1])), rel=0.02)
     # the remap smears the boundary of the share by half a cell
     assert 0.0 < 2.0 * np.sqrt(5.0 * spread[2]) - found.height[0] < 4e-6

@@ -30,9 +30,9 @@ TEMPORARY = 80
 MAP = 33
 """Per ghost of another rank and exchanged field: indices of the star forests here and there, and buffers (bytes)."""
 
-TRACER = 250
-"""Per tracer point of this rank: its number and place, and what is made while it is sorted, handed over or written
-(bytes)."""
+TRACER, SENT = 205, 145
+"""Per tracer point of this rank: its number and place, and what is made while it is sorted or written (bytes); more
+where there are other ranks, which it is handed over to."""
 
 PICTURE = 50 * 2**20
 """More on rank 0 at the very end, while matplotlib draws the picture (bytes)."""
@@ -114,4 +114,5 @@ def of_fullest(scene: Scene, ranges: Ranges, plan: BatchPlan) -> RankMemory:
         return fullest
     points = scene.output.tracers * sum(plan.batches[b].count for b in plan.order)
     share = fullest.cells / math.prod(scene.domain.cells)
-    return replace(fullest, arrays=fullest.arrays + round(TRACER * points * share))
+    each = TRACER + (SENT if share < 1.0 else 0)
+    return replace(fullest, arrays=fullest.arrays + round(each * points * share))
