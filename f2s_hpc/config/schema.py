@@ -29,6 +29,7 @@ Face = Literal["symmetry", "fixed", "free", "outflow"]
 DERIVED_FIELDS = ("pressure", "von_mises", "speed")
 SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
 LEAST_TRACERS = 10
+LEAST_SLEEPING_DEPTH = 8  # cells
 MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
 
 
@@ -233,6 +234,8 @@ class Numerics(Section):
     remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
     largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
     active_rows: Switch = Field(default=True, description="skip the rows without material; the results are the same")
+    sleeping_depth: LengthOrZero = Field(default=0.0, description="depth below the surface from which on material at "
+                                                                  "rest is not stepped, m; 0: all is stepped")
     dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
 
 
@@ -297,6 +300,14 @@ def _check_spheres(scene: Scene) -> None:
                 raise wrong(key, f"overlaps batches.spheres[{other}]")
 
 
+def _check_sleep(scene: Scene) -> None:
+    """Raise if material would sleep where particles arrive."""
+    depth, least = scene.numerics.sleeping_depth, LEAST_SLEEPING_DEPTH * scene.domain.cell_size
+    if 0.0 < depth < least * (1.0 - 1e-9):
+        raise wrong("numerics.sleeping_depth", f"must be 0 or at least {LEAST_SLEEPING_DEPTH} cells "
+                                               f"({_length(least)}); particles arrive above")
+
+
 def _check_temperatures(scene: Scene) -> None:
     """Raise if something is molten at the start."""
     melting = scene.melting_temperature
@@ -335,6 +346,7 @@ class Scene(Section):
         if self.scheme == "standard" and self.cycles.count != 1:
             raise wrong("cycles.count", "must be 1 in the standard scheme, which paints all batches at once")
         _check_spheres(self)
+        _check_sleep(self)
         _check_temperatures(self)
         _check_speeds(self)
         if "internal_energy" in self.output.fields and not self.mie_grueneisen:

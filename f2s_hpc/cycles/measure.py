@@ -132,7 +132,7 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
     energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
     brought = energy["brought_in"]
     lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "time_step",
-                                             "remainder"))
+                                             "put_to_sleep", "remainder"))
     if not model.settings.viscous_heating:
         lost += energy["shock_viscosity"]
     return {
@@ -153,8 +153,8 @@ def part_area(state: State) -> float:
 
 def elastic_quanta(state: State, model: Model) -> int:
     """Return the elastic energy of the material in quanta, an exact sum over all ranks."""
-    runs, count = state.runs
-    quanta = derived.elastic_energy(runs, count, state.cell_window(), state.part.cell_shape[1:], model.bulk,
+    runs, count = state.all_runs
+    quanta = derived.elastic_energy(runs, count, state.owned_window(), state.part.cell_shape[1:], model.bulk,
                                     model.eos, state.flat["mass"], state.flat["volume_fraction"], state.stress,
                                     model.dx**3, model.energy_quantum)
     return sum(mpi.all_gather(int(quanta)))

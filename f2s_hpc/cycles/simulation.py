@@ -22,6 +22,7 @@ from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import Batch, BatchPlan, join
+from f2s_hpc.solver import sleep
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.workload.balance import balance_of_run
 
@@ -92,6 +93,10 @@ class Simulation:
             setattr(clock, name, value)
         for name, value in saved["limits"].items():
             setattr(clock.limits, name, value)
+        asleep = saved.get("sleep", {"floor": 0, "since": 0.0})  # checkpoints were written before there was sleep
+        clock.sleep.since = asleep["since"]
+        if asleep["floor"]:
+            self.state.set_floor(asleep["floor"])
         self.ledger.restore({name: int(text) for name, text in saved["ledger"].items()})
         if not mpi.is_root():
             clock.active_cell_steps = 0
@@ -115,6 +120,7 @@ class Simulation:
                       "limit": clock.limit,
                       "fastest_heavy": float(mpi.maximum(clock.fastest_heavy)),
                       "active_cell_steps": int(mpi.total(np.int64(clock.active_cell_steps)))},
+            "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,
@@ -186,6 +192,7 @@ class Simulation:
         batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
         if self.flight is not None:
             return self._launch(batch)
+        sleep.wake_for(self.state, self.model, self.clock.sleep, self.clock.time, scene.domain.layer_bottom)
         report: InsertReport = paint_batch(
             self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
             scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
@@ -217,6 +224,8 @@ class Simulation:
         clock = self.clock
         arrived = self.flight.arrivals(self.state, clock.time, clock.between_remaps)
         if arrived is not None:
+            spheres = arrived[0]
+            sleep.wake_for(self.state, self.model, clock.sleep, clock.time, float((spheres.z - spheres.r).min()))
             paint_arrivals(self.state, self.model, arrived, self.scene.particles.temperature, self.ledger)
             if self.tracers is not None:
                 self.tracers.seed(arrived[0], clock.time)

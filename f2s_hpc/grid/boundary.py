@@ -27,7 +27,8 @@ class Boundary:
 
     ``kinds``: per side of :data:`f2s_hpc.grid.box.SIDES` one of the four kinds above.
     ``weights``: per axis, the share of each local node plane that lies inside the box.
-    ``free_motion[axis, component, plane]``: 0 where a wall holds that velocity component.
+    ``free_motion[axis, component, plane]``: 0 where a wall holds that velocity component, or the floor (a local plane
+    of nodes, None if there is none) on which what is awake stands.
     """
 
     def __init__(self, part: Part, kinds: dict[str, str]) -> None:
@@ -40,6 +41,8 @@ class Boundary:
         self.free_motion = np.ones((3, 3, max(planes)))
         self._rules = {location: self._rules_of(location) for location in (CELL, NODE)}
         self._groups: dict[tuple, list[tuple]] = {}
+        self.floor: int | None = None
+        self._held_before = np.empty(3)
         for side in self.touched:
             axis, kind = SIDES.index(side) // 2, self.kinds[side]
             wall = self.wall_plane(side)
@@ -106,8 +109,23 @@ class Boundary:
             self._groups[key] = groups
         return self._groups[key]
 
+    def hold_floor(self, plane: int | None) -> None:
+        """Hold the nodes of the local ``plane`` normal to z, as a fixed wall does, instead of the floor before.
+
+        None, or a plane that this rank does not have: no floor.
+        """
+        if self.floor is not None:
+            self.free_motion[2, :, self.floor] = self._held_before
+        self.floor = plane if plane is not None and 0 <= plane < self.part.node_shape[0] else None
+        if self.floor is not None:
+            self._held_before = self.free_motion[2, :, self.floor].copy()
+            self.free_motion[2, :, self.floor] = 0.0
+
     def hold(self, velocity: Sequence[np.ndarray]) -> None:
-        """Set to zero the velocity components that the touched walls hold."""
+        """Set to zero the velocity components that the touched walls and the floor hold."""
+        if self.floor is not None:
+            for array in velocity:
+                array[self.floor] = 0.0
         for side in self.touched:
             axis, wall = SIDES.index(side) // 2, self.wall_plane(side)
             for component, array in enumerate(velocity):

@@ -22,6 +22,7 @@ ENERGY_NAMES = {
     "shock_viscosity": "shock viscosity", "hourglass": "hourglass control", "light_nodes": "light nodes",
     "remap_kinetic": "kinetic, lost by the remap", "remap_elastic": "elastic, lost by the remap",
     "time_step": "error of the explicit step", "through_faces": "left through the sides", "kinetic": "still kinetic",
+    "put_to_sleep": "ringing that was put to sleep",
     "elastic": "stored elastically", "remainder": "unexplained"}
 
 METHODS = (

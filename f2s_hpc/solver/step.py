@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from f2s_hpc.errors import UnstableStep
-from f2s_hpc.solver import heat, lagrange, remap, timestep
+from f2s_hpc.solver import heat, lagrange, remap, sleep, timestep
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -32,6 +32,7 @@ class Clock:
     fastest_heavy: float = 0.0
     stop: bool = False  # some rank asked for a stop; all ranks know it after the same step
     active_cell_steps: int = 0
+    sleep: sleep.Sleep = field(default_factory=sleep.Sleep)
 
     @property
     def time(self) -> float:
@@ -49,6 +50,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     ``follow`` is called before the remap, for what moves with the nodes: with the last step (s), and whether others
     before it have displaced them.
     """
+    if model.settings.sleeping_depth:
+        sleep.look(state, model, clock.sleep, clock.time, clock.remaps, ledger)
     state.update_activity()
     since, started = timestep.SinceRemap(), clock.in_cycle
     while True:

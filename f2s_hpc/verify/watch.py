@@ -31,6 +31,7 @@ from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
 from f2s_hpc.errors import InputError, UnstableStep
 from f2s_hpc.particles.batch import BatchPlan, make_batches
+from f2s_hpc.solver import sleep
 from f2s_hpc.solver.step import advance
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
@@ -250,6 +251,7 @@ def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float
     """
     for cycle, duration in enumerate(scene.cycles.durations):
         batch = plan.batches[plan.order[cycle]]
+        sleep.wake_for(setup.state, setup.model, setup.clock.sleep, setup.clock.time, scene.domain.layer_bottom)
         setup.report = paint_batch(setup.state, setup.model, batch, scene.domain.layer_bottom,
                                    scene.particles.velocity, scene.particles.temperature, setup.ledger,
                                    scene.batches.seed * 1000003 + cycle)
