@@ -12,11 +12,16 @@ from conftest import launch
 from solver_setup import ALL_SYMMETRY, cell_coordinates, make_block, make_model, make_setup
 
 from f2s_hpc import mpi
+from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.cycles.simulation import Simulation
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL, VELOCITY
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
+from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.solver import sleep
+from f2s_hpc.solver.step import advance
 from f2s_hpc.verify.scenes import write_scene
 
 DX = 3e-6
@@ -76,6 +81,7 @@ def test_what_sleeps_stays_as_it_is_and_costs_nothing():
     k = state.part.owned_cells[0].start + state.floor
     assert 4 <= state.floor <= GROUND - DEPTH
     before = {name: view[:k].copy() for name, view in state.views.items() if name in state.saved}
+    del before["temperature"]
     peeq = state.owned("peeq").sum()
     steps = setup.clock.active_cell_steps
     setup.advance(15)
@@ -105,9 +111,10 @@ def test_the_balance_still_closes():
     assert boxes[1].state.floor > 0
     assert sleeping["put_to_sleep"] > 1e-5 * full["brought_in"]
     assert full["put_to_sleep"] == 0.0
-    assert abs(sleeping["remainder"] - full["remainder"]) < 2e-6 * full["brought_in"]
+    assert abs(sleeping["remainder"] - full["remainder"]) < 5e-7 * full["brought_in"]
     assert np.isclose(sleeping["plastic_work"], full["plastic_work"], rtol=0.02)
-    assert abs(impact(SLEEPING, 100)[1]["mass_drift_relative"]) < 1e-12
+    drifts = [impact(model, 100)[1]["mass_drift_relative"] for model in (MODEL, SLEEPING)]
+    assert abs(drifts[1]) < 2.0 * abs(drifts[0]) + 1e-12
 
 
 def test_heat_flows_in_what_sleeps_and_through_the_floor():
@@ -145,9 +152,30 @@ def test_it_wakes_when_flow_comes_near():
     state.views["velocity_z"][k + 2] = -400.0
     state.exchange(VELOCITY)
     setup.advance(30)
-    assert state.floor == floor - 4
+    assert state.floor <= floor - sleep.MARGIN
     assert state.views["velocity_z"][k - 2].any()
-    assert not state.views["velocity_z"][k - 4].any()
+    assert not state.views["velocity_z"][k + state.floor - floor].any()
+
+
+def test_material_that_is_put_in_wakes_what_it_may_meet(tmp_path):
+    """Spheres that land on a floor just under the surface, as in a pit: it falls below them before they are painted.
+
+    Fails when ``Simulation._land`` leaves ``wake_for``.
+    """
+    scene = parse_scene(SCENE, "deep")
+    simulation = Simulation(scene, tmp_path, make_batches(scene))
+    simulation.begin()
+    simulation.insert()
+    state, clock, ground = simulation.state, simulation.clock, 16
+    state.set_floor(ground - 1)
+    waiting = simulation.flight.count
+    simulation._land()
+    while simulation.flight.count == waiting:
+        assert state.floor == ground - 1
+        advance(state, simulation.model, clock, simulation.ledger, 60e-9)
+        simulation._land()
+    assert ground - sleep.MARGIN <= state.floor < ground - 1
+    assert not state.views["velocity_z"][:state.part.owned_nodes[0].start + state.floor + 1].any()
 
 
 def test_a_depth_of_few_cells_is_refused():

@@ -8,9 +8,10 @@ Every ``EVERY`` remaps the floor rises to the highest plane that is at least ``s
 has nothing but rest below it; the surface is the highest plane below which every plane is ``FULL`` filled. A plane is
 at rest while no node of it is faster than a small share of the particles' speed, and no cell under a higher pressure
 than that of a sound wave of that speed (where a wave is thrown back nothing moves, but all is under twice its
-pressure). The kinetic energy of the ringing that is left is taken out and entered in the ledger. The floor falls by ``MARGIN`` planes
-when among as many planes above it speed or pressure is ``WAKES`` times as high, and below all material that is put in.
-All sums over ranks are of integers, or are maxima, so any number of ranks finds the same floor.
+pressure). The kinetic energy of the ringing that is left is taken out and entered in the ledger. The floor falls by
+``MARGIN`` planes when among as many planes above it speed or pressure is ``WAKES`` times as high, and below all
+material that is put in. All sums over ranks are of integers, or are maxima, so any number of ranks finds the same
+floor.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 EVERY = 2
-"""Remaps between two looks: a sound wave passes about ``MARGIN`` planes in that time."""
+"""Remaps between two looks: a sound wave passes no more than ``MARGIN`` planes in that time."""
 
 FULL = 0.9
 """Share of a plane that is filled below the surface."""
@@ -38,10 +39,10 @@ FULL = 0.9
 REST = 0.03
 """Speed of rest over the particles' speed."""
 
-WAKES = 4.0
+WAKES = 1.5
 """Speed that wakes what sleeps, over the speed of rest."""
 
-MARGIN = 4
+MARGIN = 8
 """Planes by which the floor falls, and above it in which flow is looked for."""
 
 

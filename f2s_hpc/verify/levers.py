@@ -18,10 +18,10 @@ from f2s_hpc.verify.case import Stopwatch
 from f2s_hpc.verify.watch import prepare, run_cycles
 
 SCENE = "quickstart"
-QUICK = ("domain.size=[\"0.06 mm\", \"0.06 mm\", \"0.15 mm\"]", "domain.substrate_height=0.036 mm",
+QUICK = ("domain.size=[\"0.06 mm\", \"0.06 mm\", \"0.21 mm\"]", "domain.substrate_height=0.096 mm",
          "domain.particle_layer_height=0.06 mm", "batches.count=1", "batches.particles=6", "batches.diameter_max=40 um",
          "cycles.count=1", "cycles.last_duration=0.3 us")
-"""The small scene: one batch of six particles on a patch of 10 x 10 cells."""
+"""The small scene: one batch of six particles on a patch of 10 x 10 cells, deep enough to sleep under them."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ LEVERS: tuple[Lever, ...] = (
     Lever("active rows", ("numerics.active_rows=true",), ("numerics.active_rows=false",)),
     Lever("no conduction", ("numerics.conduction=false",), ("numerics.conduction=true",)),
     Lever("remap of order 1", ("numerics.remap_order=1",), ("numerics.remap_order=2",)),
+    Lever("sleeping depth", ("numerics.sleeping_depth=0.048 mm",), ("numerics.sleeping_depth=0 m",)),
     Lever("losses do not heat", ("numerics.loss_heating=false",), ("numerics.loss_heating=true",)),
 )
 """One line per lever; the full computation uses the ``full`` settings of all."""
