@@ -160,7 +160,7 @@ def test_it_wakes_when_flow_comes_near():
 def test_material_that_is_put_in_wakes_what_it_may_meet(tmp_path):
     """Spheres that land on a floor just under the surface, as in a pit: it falls below them before they are painted.
 
-    Fails when ``Simulation._land`` leaves ``wake_for``.
+    Fails when ``Simulation._land`` leaves ``wake_for`` out.
     """
     scene = parse_scene(SCENE, "deep")
     simulation = Simulation(scene, tmp_path, make_batches(scene))

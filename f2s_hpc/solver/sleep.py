@@ -12,6 +12,9 @@ pressure). The kinetic energy of the ringing that is left is taken out and enter
 ``MARGIN`` planes when among as many planes above it speed or pressure is ``WAKES`` times as high, and below all
 material that is put in. All sums over ranks are of integers, or are maxima, so any number of ranks finds the same
 floor.
+
+Measured on a patch of section4 at 6 um, 10 cycles: PEEQ p95 rises by 1.3 to 1.4 % at a depth of 12 cells, and (with
+``WAKES`` 4, ``MARGIN`` 4) by 1.5 % even at 25, ten times the scatter of the full computation; so it is off by default.
 """
 
 from __future__ import annotations
