@@ -124,7 +124,9 @@ def run(full: bool = False, overrides: Sequence[str] = (), levers: Sequence[Leve
     common = (*(() if full else QUICK), *overrides)
     everything = tuple(setting for lever in levers for setting in lever.full)
     # kernels are loaded and pages of code made real before anything is timed
-    _compute(load_scene(SCENE, (*QUICK, *overrides, *everything, "cycles.last_duration=5 ns")))
+    saving = tuple(setting for lever in levers for setting in lever.saving)
+    for settings in ((), saving):
+        _compute(load_scene(SCENE, (*QUICK, *overrides, *everything, *settings, "cycles.last_duration=5 ns")))
     reference = _compute(load_scene(SCENE, (*common, *everything)))
     rows = [_compared("everything", reference, reference)]
     report(rows[0])
