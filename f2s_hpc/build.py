@@ -45,7 +45,8 @@ def build_model(scene: Scene) -> Model:
         exchange_mass_limit=n.exchange_mass_limit, light_mass_floor=n.light_mass_floor,
         speed_cap=n.speed_cap_factor * speed, speed_limit=n.speed_limit_factor * speed,
         conduction=n.conduction and m.conductivity > 0.0, second_order=n.remap_order == 2, dust=n.dust,
-        largest_strain=n.largest_strain, sleeping_depth=n.sleeping_depth, rest_speed=sleep.REST * speed)
+        largest_strain=n.largest_strain, sleeping_depth=n.sleeping_depth, rest_speed=sleep.REST * speed,
+        absorbing_depth=n.absorbing_depth)
     x, y, z = scene.domain.extents
     energy = 0.5 * m.density * x * y * z * speed**2
     return Model(scene.domain.cell_size, bulk, eos, build_flow(m.flow_stress), settings, energy * 2.0**-ENERGY_BITS,

@@ -30,7 +30,7 @@ class State:
         self.decomposition = decomposition
         self.active_rows = active_rows
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen, loss_heating, origin, displaced)
+        self.fields = fields.needed(mie_grueneisen, loss_heating, origin, displaced, "absorbing" in sides.values())
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}

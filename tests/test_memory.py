@@ -78,7 +78,7 @@ def test_check_prints_bytes_per_cell(run_f2s):
     assert 150 < int(found.group(2)) < 320
 
 
-BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction"}
+BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction", "lent_mass"}
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -95,7 +95,7 @@ def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
         assert set(state.views) == BASE - missing, name
         cells = sum(view.size for view in state.views.values())
         assert state.pool.memory.size < cells + 1024 * len(state.views)
-    assert len(BASE) == 31 - 2
+    assert len(BASE) == 32 - 3
 
 
 @pytest.mark.parametrize(("settings", "called"), [
@@ -115,6 +115,6 @@ def test_what_is_switched_off_is_not_computed(settings, called):
 
 
 def test_options_bring_their_fields():
-    assert fields.needed(True, True, True, True) == fields.FIELDS
+    assert fields.needed(True, True, True, True, True) == fields.FIELDS
     assert {f.name for f in fields.needed(False, False, False)} == BASE - {"lost_energy", *fields.DISPLACEMENT}
     assert mpi.size() == 1

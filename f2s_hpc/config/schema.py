@@ -25,7 +25,7 @@ from f2s_hpc.config.quantities import (
     wrong,
 )
 
-Face = Literal["symmetry", "fixed", "free", "outflow"]
+Face = Literal["symmetry", "fixed", "free", "outflow", "absorbing"]
 DERIVED_FIELDS = ("pressure", "von_mises", "speed")
 SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
 LEAST_TRACERS = 10
@@ -46,6 +46,11 @@ class Faces(Section):
     y_high: Face = Field(default="symmetry", description="side at the largest y")
     z_low: Face = Field(default="fixed", description="bottom")
     z_high: Face = Field(default="fixed", description="top")
+
+    @property
+    def absorbing(self) -> bool:
+        """Is any side absorbing?"""
+        return any(getattr(self, side) == "absorbing" for side in Faces.model_fields)
 
 
 class Domain(Section):
@@ -230,6 +235,9 @@ class Numerics(Section):
                                         "its neighbours")
     speed_cap_factor: Number = Field(default=2.0, ge=1,
                                      description="speed cap of light nodes over the largest particle speed")
+    # its static stiffness: waves shorter than a quarter of it come back with under 2 %
+    absorbing_depth: PositiveLength = Field(
+        default=0.5e-3, description="depth of the material that stands behind an absorbing side, m")
     conduction: Switch = Field(default=True, description="heat conduction")
     remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
     largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
@@ -353,6 +361,8 @@ class Scene(Section):
             raise wrong("output.fields", 'internal_energy exists only with material.pressure.model = "mie_grueneisen"')
         if fields.ORIGIN in self.output.fields and not self.output.origin:
             raise wrong("output.fields", f"{fields.ORIGIN} exists only with output.origin = true")
+        if fields.LENT in self.output.fields and not self.domain.faces.absorbing:
+            raise wrong("output.fields", f"{fields.LENT} exists only with an absorbing side in domain.faces")
         return self
 
     @property
@@ -381,7 +391,7 @@ class Scene(Section):
     def needed_fields(self) -> tuple[fields.Field, ...]:
         """Fields that a run of the scene allocates."""
         return fields.needed(self.mie_grueneisen, self.numerics.loss_heating, self.output.origin,
-                             self.numerics.steps_per_remap > 1)
+                             self.numerics.steps_per_remap > 1, self.domain.faces.absorbing)
 
     @property
     def melting_temperature(self) -> float | None:

@@ -126,7 +126,8 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
     area = part_area(state)
     now = material_quanta(state, model)
     painted = totals["mass_painted"]
-    missing = painted + substrate_quanta - totals["mass_left"] - totals["mass_capped"] - now
+    lent = totals["mass_lent"]
+    missing = painted + substrate_quanta - totals["mass_left"] - totals["mass_capped"] - lent - now
     kilogram = model.mass_quantum * model.cell_mass
     kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
     energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
@@ -139,7 +140,7 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
         "painted_volume_m3": painted * model.mass_quantum * model.dx**3,
         "mass_drift_relative": missing / painted if painted else 0.0,
         "mass_left_kg": totals["mass_left"] * kilogram, "mass_capped_kg": totals["mass_capped"] * kilogram,
-        "dense_height_m": (now - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
+        "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
         "numerical_loss_fraction": lost / brought if brought else 0.0, "energy": energy,
         "nodes_capped": totals["nodes_capped"],
     }

@@ -20,7 +20,7 @@ ENERGY_TERMS = {
     "remap_elastic": "elastic energy lost in the stress remap and the closure",
     "time_step": "work of the forces on the nodes less what the cells received: error of the explicit step",
     "put_to_sleep": "kinetic energy of what was put to sleep (numerics.sleeping_depth)",
-    "through_faces": "kinetic energy that left through open faces",
+    "through_faces": "kinetic energy that left through open faces, and what absorbing ones took",
     "remainder": "what no term explains",
     "heat": "heat from plastic work, shock viscosity and numerical losses (contained in those, no term of the balance)",
     "returned_heat": "share of that heat that comes from hourglass control, remap and light nodes",
@@ -28,7 +28,8 @@ ENERGY_TERMS = {
 
 _COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned", "exchanged",
            "exchange_kept", "lost", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before",
-           "elastic_after", "through_faces", "put_to_sleep", "mass_left", "mass_capped", "mass_painted", "nodes_capped")
+           "elastic_after", "through_faces", "put_to_sleep", "mass_left", "mass_lent", "mass_capped", "mass_painted",
+           "nodes_capped")
 
 
 class Ledger:

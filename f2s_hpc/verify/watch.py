@@ -215,9 +215,9 @@ class Watch:
         s = self.setup
         total = sum(mpi.all_gather(float((s.state.owned("mass") * s.state.owned("peeq")).sum())))
         totals = s.ledger.totals()
-        left = totals["mass_left"] + totals["mass_capped"]
+        left = totals["mass_left"] + totals["mass_capped"] + totals["mass_lent"]
         # mass is counted in quanta: what left is known to the bar of the mass only
-        known = left - self._left + MASS_BAR * (totals["mass_painted"] + self.substrate)
+        known = max(left - self._left, 0) + MASS_BAR * (totals["mass_painted"] + self.substrate)
         carried = known * s.model.mass_quantum * self.peeq_max
         self._most_peeq = max(self._most_peeq, total)
         if total < self._peeq - carried - PEEQ_BAR * self._most_peeq:
