@@ -27,7 +27,7 @@ SIDES = STANDARD_SIDES | {"z_low": "absorbing", "x_high": "absorbing"}
 
 def impact(sides, steps, grid=None):
     """Return a box after ``steps`` steps of a sphere's fall onto a thin substrate, and its balance."""
-    setup = make_setup((16, 14, 20), MODEL, [(7.3, 6.4, GROUND + 3.2, 3.0)], (30.0, -20.0, -600.0), 700.0, GROUND,
+    setup = make_setup((16, 17, 20), MODEL, [(7.3, 6.4, GROUND + 3.2, 3.0)], (30.0, -20.0, -600.0), 700.0, GROUND,
                        sides=sides, grid=grid)
     substrate = measure.material_quanta(setup.state, setup.model) - setup.ledger.totals()["mass_painted"]
     setup.advance(steps)
