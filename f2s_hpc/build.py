@@ -6,6 +6,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition, Ranges
 from f2s_hpc.materials import params
+from f2s_hpc.solver import sleep
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model, Settings
 from f2s_hpc.state import State
@@ -44,7 +45,8 @@ def build_model(scene: Scene) -> Model:
         exchange_mass_limit=n.exchange_mass_limit, light_mass_floor=n.light_mass_floor,
         speed_cap=n.speed_cap_factor * speed, speed_limit=n.speed_limit_factor * speed,
         conduction=n.conduction and m.conductivity > 0.0, second_order=n.remap_order == 2, dust=n.dust,
-        largest_strain=n.largest_strain)
+        largest_strain=n.largest_strain, sleeping_depth=n.sleeping_depth, rest_speed=sleep.REST * speed,
+        absorbing_depth=n.absorbing_depth)
     x, y, z = scene.domain.extents
     energy = 0.5 * m.density * x * y * z * speed**2
     return Model(scene.domain.cell_size, bulk, eos, build_flow(m.flow_stress), settings, energy * 2.0**-ENERGY_BITS,

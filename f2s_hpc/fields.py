@@ -63,6 +63,8 @@ FIELDS: tuple[Field, ...] = (
           advected=True, ghosted=True, saved=True),
     Field("particle_fraction", CELL, "1", "share of the cell's mass that came with the particles (output.origin only)",
           advected=True, ghosted=True, saved=True, shown=True),
+    Field("lent_mass", CELL, "1", "mass (in full cells) that the cell has lent to what lies behind absorbing sides",
+          ghosted=True, saved=True),
     _velocity("x", (-1, 1, 1)),
     _velocity("y", (1, -1, 1)),
     _velocity("z", (1, 1, -1)),
@@ -94,15 +96,17 @@ FORCE = ("force_x", "force_y", "force_z")
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
 DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
 ORIGIN = "particle_fraction"
+LENT = "lent_mass"
 
 
 def needed(mie_grueneisen: bool, loss_heating: bool = True, origin: bool = False,
-           displaced: bool = False) -> tuple[Field, ...]:
+           displaced: bool = False, absorbing: bool = False) -> tuple[Field, ...]:
     """Return the fields that a scene needs; the rest are neither allocated nor exchanged.
 
     ``loss_heating``: do numerical losses become heat? ``origin``: does the scene ask where each cell's material came
-    from? ``displaced``: may several steps go by between two remaps?
+    from? ``displaced``: may several steps go by between two remaps? ``absorbing``: is any side of the box absorbing?
     """
     left_out = {name for name, asked in (("internal_energy", mie_grueneisen), ("lost_energy", loss_heating),
-                                         (ORIGIN, origin), *((d, displaced) for d in DISPLACEMENT)) if not asked}
+                                         (ORIGIN, origin), *((d, displaced) for d in DISPLACEMENT),
+                                         (LENT, absorbing)) if not asked}
     return tuple(f for f in FIELDS if f.name not in left_out)

@@ -87,6 +87,23 @@ def total(value):
     return _reduced(value, MPI.SUM)
 
 
+def exchange_rows(rows: list[np.ndarray]) -> np.ndarray:
+    """Send ``rows[r]``, float64 (n, columns), to each rank r; return what came from all ranks, in rank order.
+
+    All have the same number of columns. Collective.
+    """
+    if size() == 1:
+        return rows[0]
+    columns = rows[0].shape[1]
+    sent = np.array([part.size for part in rows], dtype=np.int32)
+    received = np.empty_like(sent)
+    MPI.COMM_WORLD.Alltoall(sent, received)
+    found = np.empty((int(received.sum(dtype=np.int64)) // columns, columns))
+    MPI.COMM_WORLD.Alltoallv([np.ascontiguousarray(np.concatenate(rows), dtype=np.float64), sent, DOUBLE],
+                             [found, received, DOUBLE])
+    return found
+
+
 def any_rank(flag: bool) -> bool:
     """Tell every rank whether ``flag`` is true on at least one."""
     return bool(maximum(np.int64(flag)))

@@ -18,6 +18,10 @@ class State:
     ``views[name]``: local array [k, j, i] of a field; ``flat[name]``: the same memory as one row, as
     kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps. ``active_rows``: False
     makes all rows active always, to measure what leaving them out saves.
+
+    ``floor``: the cells below this plane of the box (global k) are asleep: the step leaves them as they are. To it they
+    are what the ghosts of a neighbour at rest would be, so windows start at the floor, and the layers that kernels read
+    below it stay in the lists. 0: nothing sleeps.
     """
 
     def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
@@ -26,7 +30,7 @@ class State:
         self.decomposition = decomposition
         self.active_rows = active_rows
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen, loss_heating, origin, displaced)
+        self.fields = fields.needed(mie_grueneisen, loss_heating, origin, displaced, "absorbing" in sides.values())
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}
@@ -56,6 +60,7 @@ class State:
         self.active = np.ones(shape, dtype=np.uint8)
         self._previous = np.ones(shape, dtype=np.uint8)
         self._untouched = True
+        self.floor, self.awake = 0, self.active
         self._holds = np.zeros(shape, dtype=np.uint8)
         self.fast_rows = np.zeros((nz + 1, ny + 1), dtype=np.uint8)
         self._runs = activity.empty_list(1024, 4)
@@ -111,28 +116,62 @@ class State:
                             self.node_offsets)
         else:
             self.active[:] = 1
-        self.run_count = activity.list_runs(self.active, nx, self._runs)
-        if self.run_count > len(self._runs):
-            self._runs = activity.empty_list(2 * self.run_count, 4)
-            activity.list_runs(self.active, nx, self._runs)
+        if self.floor:
+            self.awake[:] = self.active
+            self.awake[:max(self.first_plane - GHOST, 0)] = 0
+        self._runs, self.run_count = self._listed(self.awake, self._runs)
         for axis in (1, 2):
-            count = activity.list_columns(self.active, nx, axis, self._columns[axis - 1])
+            count = activity.list_columns(self.awake, nx, axis, self._columns[axis - 1])
             if count > len(self._columns[axis - 1]):
                 self._columns[axis - 1] = activity.empty_list(2 * count, 5)
-                count = activity.list_columns(self.active, nx, axis, self._columns[axis - 1])
+                count = activity.list_columns(self.awake, nx, axis, self._columns[axis - 1])
             self.column_counts[axis - 1] = count
+
+    def _listed(self, active: np.ndarray, runs: np.ndarray) -> tuple[np.ndarray, int]:
+        """Return the runs of ``active`` blocks, in ``runs`` if that is long enough, and their number."""
+        row_length = self.part.cell_shape[2]
+        count = activity.list_runs(active, row_length, runs)
+        if count > len(runs):
+            runs = activity.empty_list(2 * count, 4)
+            activity.list_runs(active, row_length, runs)
+        return runs, count
+
+    @property
+    def floor_plane(self) -> int | None:
+        """Local index of the floor, also where this rank does not have it; None when nothing sleeps."""
+        return GHOST + self.floor - self.part.start[2] if self.floor else None
+
+    @property
+    def first_plane(self) -> int:
+        """Local index of the first plane of cells that this rank owns and steps; beyond its last if all sleep."""
+        return max(self.floor_plane, GHOST) if self.floor else GHOST
+
+    def set_floor(self, floor: int) -> None:
+        """Let all cells below plane ``floor`` (global k) sleep and no others; the nodes on it are held.
+
+        Those that wake go on from the fields as they are.
+        """
+        self.floor = floor
+        self.awake = self.active.copy() if floor else self.active
+        self.boundary.hold_floor(self.floor_plane)
+        self.update_activity()
 
     @property
     def runs(self) -> tuple[np.ndarray, int]:
-        """Active runs and their number, as kernels take them."""
+        """Active runs and their number, as kernels take them, but for what sleeps."""
         return self._runs, self.run_count
+
+    @property
+    def all_runs(self) -> tuple[np.ndarray, int]:
+        """Active runs and their number, with those that sleep."""
+        return self._listed(self.active, activity.empty_list(1024, 4)) if self.floor else self.runs
 
     def columns(self, axis: int) -> tuple[np.ndarray, int]:
         """Active columns for a sweep along ``axis`` (1 or 2) and their number."""
         return self._columns[axis - 1], self.column_counts[axis - 1]
 
     def active_cells(self) -> int:
-        """Return how many owned cells are active on this rank."""
+        """Return how many owned cells are active and awake on this rank."""
         runs = self._runs[:self.run_count].astype(np.int64)
         k0, k1, j0, j1, i0, i1 = self.cell_window()
         inside = (runs[:, 0] >= k0) & (runs[:, 0] < k1) & (runs[:, 1] >= j0) & (runs[:, 1] < j1)
@@ -143,29 +182,35 @@ class State:
 
     def cell_window(self, low: tuple[int, int, int] = (0, 0, 0),
                     high: tuple[int, int, int] = (0, 0, 0)) -> tuple[int, int, int, int, int, int]:
-        """Return (k0, k1, j0, j1, i0, i1) of the owned cells, wider by ``low`` and ``high`` (x, y, z) cells."""
+        """Return (k0, k1, j0, j1, i0, i1) of the owned cells awake, wider by ``low`` and ``high`` (x, y, z) cells."""
         return self._window(self.part.count, low, high)
+
+    def owned_window(self) -> tuple[int, int, int, int, int, int]:
+        """Return (k0, k1, j0, j1, i0, i1) of all owned cells, those that sleep too."""
+        return (GHOST, *self.cell_window()[1:])
 
     def node_window(self, low: tuple[int, int, int] = (0, 0, 0),
                     high: tuple[int, int, int] = (0, 0, 0)) -> tuple[int, int, int, int, int, int]:
-        """Return (k0, k1, j0, j1, i0, i1) of the owned nodes, wider by ``low`` and ``high`` (x, y, z) nodes."""
+        """Return (k0, k1, j0, j1, i0, i1) of the owned nodes awake, wider by ``low`` and ``high`` (x, y, z) nodes."""
         return self._window(self.part.node_count, low, high)
 
-    @staticmethod
-    def _window(count, low, high):
-        pairs = [(GHOST - a, GHOST + n + b) for n, a, b in zip(count, low, high)]
+    def _window(self, count, low, high):
+        firsts = (GHOST, GHOST, self.first_plane)
+        pairs = [(first - a, GHOST + n + b) for first, n, a, b in zip(firsts, count, low, high)]
         return tuple(bound for pair in pairs[::-1] for bound in pair)
 
     # --- ghosts -------------------------------------------------------------------------------------
 
-    def exchange(self, names: tuple[str, ...], layers: int = GHOST, axis: int | None = None) -> None:
+    def exchange(self, names: tuple[str, ...], layers: int = GHOST, axis: int | None = None,
+                 asleep: bool = False) -> None:
         """Fill the ghosts of the named fields: from the neighbours, then behind the sides where blocks are active.
 
-        ``layers``: how deep; ``axis``: only those straight along this axis (0, 1, 2), as a sweep along it reads them.
+        ``layers``: how deep; ``axis``: only those straight along this axis (0, 1, 2), as a sweep along it reads them;
+        ``asleep``: also behind the sides of what sleeps.
         """
         self.pool.exchange(names, layers, axis)
-        self.boundary.fill(self.pool.memory, self.pool.offsets, names, self.active,
-                           (0, 1, 2) if axis is None else (axis,), layers)
+        self.boundary.fill(self.pool.memory, self.pool.offsets, names,
+                           self.active if asleep else self.awake, (0, 1, 2) if axis is None else (axis,), layers)
 
     def owned(self, name: str) -> np.ndarray:
         """Return the owned part of a field, a view [k, j, i]."""

@@ -49,6 +49,26 @@ def test_prediction_is_true_within_ten_percent(tmp_path, cell_um, ranks):
         assert expected.arrays + expected.maps > 0.3 * measured
 
 
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_prediction_knows_the_tracers(tmp_path, ranks):
+    """A million points, seeded at once and written: what they take more, with and without. Fails if it is forgotten."""
+    expected, measured = [], []
+    for points in (0, 2000):
+        overrides = ["domain.cell_size=24 um", *SHORT, "particles.flight=eulerian", f"output.tracers={points}"]
+        scene = load_scene("section4", overrides)
+        box = Box(scene.domain.cells, scene.domain.cell_size)
+        ranges = ownership_ranges(box, process_grid(box, ranks))
+        expected.append(memory.of_fullest(scene, ranges, make_batches(scene)).total)
+        settings = [word for one in overrides for word in ("--set", one)]
+        command = [sys.executable, "-m", "f2s_hpc", "run", "section4", "--out", f"run-{points}", *settings]
+        done = launch(command, ranks, tmp_path)
+        assert done.returncode == 0, done.stdout + done.stderr
+        measured.append(runs.read_summary(tmp_path / f"run-{points}")["peak_memory_bytes_per_rank"])
+    assert expected[1] - expected[0] == pytest.approx(measured[1] - measured[0], rel=0.15)
+    assert expected[1] > 1.3 * expected[0]
+
+
 def test_check_prints_bytes_per_cell(run_f2s):
     done = run_f2s(["check", "section4"])
     assert done.returncode == 0, done.stderr
@@ -58,7 +78,7 @@ def test_check_prints_bytes_per_cell(run_f2s):
     assert 150 < int(found.group(2)) < 320
 
 
-BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction"}
+BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction", "lent_mass"}
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -75,7 +95,7 @@ def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
         assert set(state.views) == BASE - missing, name
         cells = sum(view.size for view in state.views.values())
         assert state.pool.memory.size < cells + 1024 * len(state.views)
-    assert len(BASE) == 31 - 2
+    assert len(BASE) == 32 - 3
 
 
 @pytest.mark.parametrize(("settings", "called"), [
@@ -95,6 +115,6 @@ def test_what_is_switched_off_is_not_computed(settings, called):
 
 
 def test_options_bring_their_fields():
-    assert fields.needed(True, True, True, True) == fields.FIELDS
+    assert fields.needed(True, True, True, True, True) == fields.FIELDS
     assert {f.name for f in fields.needed(False, False, False)} == BASE - {"lost_energy", *fields.DISPLACEMENT}
     assert mpi.size() == 1

@@ -259,6 +259,14 @@ def test_levers_save_and_change_what_they_should():
     assert 0.0 < cold.fraction_change < 0.02
     assert 0.0 < rows["remap of order 1"].fraction_change < 0.05
     assert abs(rows["remap of order 1"].peeq_p95) > 0.01
+    asleep = rows["sleeping depth"]
+    assert asleep.cell_steps < 0.9 * whole.cell_steps
+    assert 0.0 < asleep.fraction_change < 0.02
+    assert abs(asleep.temperature_p95) < 10.0
+    shallow = rows["half substrate, absorbing"]
+    assert shallow.cell_steps < 0.8 * whole.cell_steps
+    assert shallow.fraction_change is None
+    assert 0.0 < abs(shallow.temperature_p95) < 20.0
     assert all(row.wall_s > 0.0 and row.steps > 100 for row in rows.values())
     assert len(levers.table(list(rows.values())).splitlines()) == len(rows) + 1
 

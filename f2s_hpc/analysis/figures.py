@@ -124,10 +124,12 @@ def depth_bands(path: str | os.PathLike, runs: Sequence[tuple[str, dict[str, Dep
 
 
 def flattening_figure(path: str | os.PathLike,
-                      runs: Sequence[tuple[str, Flattening, dict[str, Regression | None]]]) -> None:
+                      runs: Sequence[tuple[str, Flattening, dict[str, Regression | None]]],
+                      source: str = "in sections") -> None:
     """Draw the flattening ratios by Eq. (5) over W_p and by Eq. (6) over D, with line and 90 % bands, as Fig. 17.
 
     The shaded band is that of the line (confidence), the thin lines that of a further particle (prediction).
+    ``source``: where the particles were measured; with many, their points are smaller.
     """
     with canvas(path, 8.2, 3.6 if len(runs) == 1 else 4.2) as figure:
         panels = figure.subplots(1, 2)
@@ -135,8 +137,8 @@ def flattening_figure(path: str | os.PathLike,
             colour = look.SERIES[number]
             for axes, (x, key) in zip(panels, ((found.width, "equation_5"), (found.diameter, "equation_6"))):
                 name = f"{label}, " if label else ""
-                axes.scatter(x * MICRO, getattr(found, key), s=14, color=colour, alpha=0.6, linewidth=0,
-                             label=f"{name}{found.count} particles in sections")
+                axes.scatter(x * MICRO, getattr(found, key), s=14 if found.count < 500 else 5, color=colour,
+                             alpha=0.6, linewidth=0, label=f"{name}{found.count} particles {source}".strip())
                 fit = fits[key]
                 if fit is None:
                     continue

@@ -14,6 +14,7 @@ from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.output import PICTURE
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
+from f2s_hpc.cycles.tracers import bytes_saved
 from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
@@ -48,7 +49,8 @@ def check(scene: Scene) -> str:
     parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
-                    more=[("memory", _memory_line(scene, balance, plan)), ("imbalance", _balance_line(balance))])
+                    more=[("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
+                          ("imbalance", _balance_line(balance))])
     return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
 
 
@@ -58,6 +60,17 @@ def _memory_line(scene: Scene, balance: Balance, plan: BatchPlan) -> str:
     picture = f"; {pretty_bytes(memory.PICTURE)} more on rank 0 for the picture" if scene.output.picture else ""
     return (f"{pretty_bytes(need.total)} on the largest rank: {pretty_bytes(need.baseline)} for the process and its "
             f"libraries, and {need.per_cell:.0f} bytes per cell{picture}")
+
+
+def _tracer_line(scene: Scene, particles: int) -> list[tuple[str, str]]:
+    """Return what the points of the particles take; nothing in a scene without."""
+    each = scene.output.tracers
+    if not each:
+        return []
+    saved, file = bytes_saved(each, particles)
+    text = (f"{each} points per particle, {each * particles:,} at the end: {pretty_bytes(saved)} more in a checkpoint, "
+            f"{pretty_bytes(file)} in the file of the last cycle")
+    return [("tracers", text)]
 
 
 def _balance_line(balance: Balance) -> str:

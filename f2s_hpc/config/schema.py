@@ -25,9 +25,11 @@ from f2s_hpc.config.quantities import (
     wrong,
 )
 
-Face = Literal["symmetry", "fixed", "free", "outflow"]
+Face = Literal["symmetry", "fixed", "free", "outflow", "absorbing"]
 DERIVED_FIELDS = ("pressure", "von_mises", "speed")
 SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
+LEAST_TRACERS = 10
+LEAST_SLEEPING_DEPTH = 8  # cells
 MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
 
 
@@ -44,6 +46,11 @@ class Faces(Section):
     y_high: Face = Field(default="symmetry", description="side at the largest y")
     z_low: Face = Field(default="fixed", description="bottom")
     z_high: Face = Field(default="fixed", description="top")
+
+    @property
+    def absorbing(self) -> bool:
+        """Is any side absorbing?"""
+        return any(getattr(self, side) == "absorbing" for side in Faces.model_fields)
 
 
 class Domain(Section):
@@ -228,10 +235,15 @@ class Numerics(Section):
                                         "its neighbours")
     speed_cap_factor: Number = Field(default=2.0, ge=1,
                                      description="speed cap of light nodes over the largest particle speed")
+    # its static stiffness: waves shorter than a quarter of it come back with under 2 %
+    absorbing_depth: PositiveLength = Field(
+        default=0.5e-3, description="depth of the material that stands behind an absorbing side, m")
     conduction: Switch = Field(default=True, description="heat conduction")
     remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
     largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
     active_rows: Switch = Field(default=True, description="skip the rows without material; the results are the same")
+    sleeping_depth: LengthOrZero = Field(default=0.0, description="depth below the surface from which on material at "
+                                                                  "rest is not stepped, m; 0: all is stepped")
     dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
 
 
@@ -247,6 +259,8 @@ class Output(Section):
     progress_seconds: Time = Field(default=5.0, description="wall time between progress lines, s")
     picture: Switch = Field(default=True, description="a picture at the end")
     origin: Switch = Field(default=False, description="follow which share of each cell came with the particles")
+    tracers: Whole = Field(default=0, ge=0, le=100000, description="material points that follow each particle, for its "
+                                                                   "exact shape and flattening; 0: none")
 
     @field_validator("fields")
     @classmethod
@@ -256,6 +270,13 @@ class Output(Section):
                 raise ValueError(f'there is no field "{name}"; possible: {", ".join(SHOWN_FIELDS)}')
         if len(set(value)) < len(value):
             raise ValueError("a field is named twice")
+        return value
+
+    @field_validator("tracers")
+    @classmethod
+    def _enough(cls, value: int) -> int:
+        if 0 < value < LEAST_TRACERS:
+            raise ValueError(f"must be 0, or at least {LEAST_TRACERS}: fewer points have no shape")
         return value
 
 
@@ -285,6 +306,14 @@ def _check_spheres(scene: Scene) -> None:
         for other, (x2, y2, z2, r2) in enumerate(batches.spheres[:index]):
             if math.dist((x, y, z), (x2, y2, z2)) < (r + r2) * (1.0 - 1e-9):
                 raise wrong(key, f"overlaps batches.spheres[{other}]")
+
+
+def _check_sleep(scene: Scene) -> None:
+    """Raise if material would sleep where particles arrive."""
+    depth, least = scene.numerics.sleeping_depth, LEAST_SLEEPING_DEPTH * scene.domain.cell_size
+    if 0.0 < depth < least * (1.0 - 1e-9):
+        raise wrong("numerics.sleeping_depth", f"must be 0 or at least {LEAST_SLEEPING_DEPTH} cells "
+                                               f"({_length(least)}); particles arrive above")
 
 
 def _check_temperatures(scene: Scene) -> None:
@@ -325,12 +354,15 @@ class Scene(Section):
         if self.scheme == "standard" and self.cycles.count != 1:
             raise wrong("cycles.count", "must be 1 in the standard scheme, which paints all batches at once")
         _check_spheres(self)
+        _check_sleep(self)
         _check_temperatures(self)
         _check_speeds(self)
         if "internal_energy" in self.output.fields and not self.mie_grueneisen:
             raise wrong("output.fields", 'internal_energy exists only with material.pressure.model = "mie_grueneisen"')
         if fields.ORIGIN in self.output.fields and not self.output.origin:
             raise wrong("output.fields", f"{fields.ORIGIN} exists only with output.origin = true")
+        if fields.LENT in self.output.fields and not self.domain.faces.absorbing:
+            raise wrong("output.fields", f"{fields.LENT} exists only with an absorbing side in domain.faces")
         return self
 
     @property
@@ -359,7 +391,7 @@ class Scene(Section):
     def needed_fields(self) -> tuple[fields.Field, ...]:
         """Fields that a run of the scene allocates."""
         return fields.needed(self.mie_grueneisen, self.numerics.loss_heating, self.output.origin,
-                             self.numerics.steps_per_remap > 1)
+                             self.numerics.steps_per_remap > 1, self.domain.faces.absorbing)
 
     @property
     def melting_temperature(self) -> float | None:

@@ -76,7 +76,7 @@ class Flight:
         while waiting.any():
             overlap = np.zeros(batch.count)
             paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, state.part.offset, self.dx,
-                                  state.cell_window(), state.views["mass"], overlap)
+                                  state.owned_window(), state.views["mass"], overlap)
             hit = mpi.maximum(overlap) > 0.0
             for index in np.flatnonzero(waiting & ~hit) if tree is not None else ():
                 here = np.array([batch.x[index], batch.y[index], batch.z[index]])
@@ -128,8 +128,8 @@ class Flight:
         now = self.at(time)
         reach = REACH * self.dx + ahead * np.linalg.norm(self.velocity, axis=1)
         near = np.zeros(self.count)
-        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, state.part.offset, self.dx, state.cell_window(),
-                                    state.views["mass"], near)
+        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, state.part.offset, self.dx,
+                                    state.owned_window(), state.views["mass"], near)
         inside = now.z + now.r <= self.extents[2]
         touches = mpi.maximum(near) > 0.0
         if (touches & ~inside).any():

@@ -74,7 +74,7 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
 def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
     overlap = np.zeros(batch.count)
     paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, chosen, state.part.offset, state.part.box.dx,
-                          state.cell_window(), state.views["mass"], overlap)
+                          state.owned_window(), state.views["mass"], overlap)
     return mpi.maximum(overlap)
 
 

@@ -126,20 +126,21 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
     area = part_area(state)
     now = material_quanta(state, model)
     painted = totals["mass_painted"]
-    missing = painted + substrate_quanta - totals["mass_left"] - totals["mass_capped"] - now
+    lent = totals["mass_lent"]
+    missing = painted + substrate_quanta - totals["mass_left"] - totals["mass_capped"] - lent - now
     kilogram = model.mass_quantum * model.cell_mass
     kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
     energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
     brought = energy["brought_in"]
     lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "time_step",
-                                             "remainder"))
+                                             "put_to_sleep", "remainder"))
     if not model.settings.viscous_heating:
         lost += energy["shock_viscosity"]
     return {
         "painted_volume_m3": painted * model.mass_quantum * model.dx**3,
         "mass_drift_relative": missing / painted if painted else 0.0,
         "mass_left_kg": totals["mass_left"] * kilogram, "mass_capped_kg": totals["mass_capped"] * kilogram,
-        "dense_height_m": (now - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
+        "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
         "numerical_loss_fraction": lost / brought if brought else 0.0, "energy": energy,
         "nodes_capped": totals["nodes_capped"],
     }
@@ -153,8 +154,8 @@ def part_area(state: State) -> float:
 
 def elastic_quanta(state: State, model: Model) -> int:
     """Return the elastic energy of the material in quanta, an exact sum over all ranks."""
-    runs, count = state.runs
-    quanta = derived.elastic_energy(runs, count, state.cell_window(), state.part.cell_shape[1:], model.bulk,
+    runs, count = state.all_runs
+    quanta = derived.elastic_energy(runs, count, state.owned_window(), state.part.cell_shape[1:], model.bulk,
                                     model.eos, state.flat["mass"], state.flat["volume_fraction"], state.stress,
                                     model.dx**3, model.energy_quantum)
     return sum(mpi.all_gather(int(quanta)))

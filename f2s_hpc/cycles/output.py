@@ -7,6 +7,7 @@ import json
 import os
 import pathlib
 import platform
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL
-from f2s_hpc.io import checkpoint, layout, runs, vtkhdf
+from f2s_hpc.io import checkpoint, layout, runs, tracers, vtkhdf
 from f2s_hpc.io.layout import Block
+from f2s_hpc.io.tracers import TracerCloud
 from f2s_hpc.particles.batch import BatchPlan, read_csv, write_csv
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -81,11 +83,16 @@ class RunFolder:
                            self.provenance() | {"cycle": cycle})
         return vtkhdf.update_index(folder)
 
-    def write_checkpoint(self, state: State, cycle: int, attributes: dict) -> pathlib.Path:
-        """Write every saved field and ``attributes``; keep the newest few."""
+    def write_tracers(self, cloud: TracerCloud, cycle: int) -> None:
+        """Write the points of the particles at the end of ``cycle``; nothing while there are none."""
+        if cloud.share[1]:
+            tracers.write_tracers(self.path, cycle, cloud, self.provenance())
+
+    def write_checkpoint(self, state: State, cycle: int, attributes: dict, more: Sequence[Block] = ()) -> pathlib.Path:
+        """Write every saved field, ``more`` and ``attributes``; keep the newest few."""
         blocks = [_block(state, name, state.owned(name), BY_NAME[name].location != CELL) for name in state.saved]
         folder = self.path / layout.CHECKPOINTS
-        path = checkpoint.write_checkpoint(folder, cycle, blocks, attributes)
+        path = checkpoint.write_checkpoint(folder, cycle, [*blocks, *more], attributes)
         checkpoint.prune(folder, self.scene.output.keep_checkpoints)
         return path
 

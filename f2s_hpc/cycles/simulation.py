@@ -17,10 +17,12 @@ from f2s_hpc.cycles.insert import InsertReport, paint_arrivals, paint_batch, pai
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import Progress
 from f2s_hpc.cycles.stop import StopRequest
+from f2s_hpc.cycles.tracers import Tracers, check_same
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import Batch, BatchPlan, join
+from f2s_hpc.solver import sleep
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.workload.balance import balance_of_run
 
@@ -49,6 +51,7 @@ class Simulation:
         self.moved = 0
         self.waiting = join([])
         self.flight = Flight(self.model.dx, self.state.part.box.extents) if scene.ballistic else None
+        self.tracers = Tracers(scene.output.tracers, self.state) if scene.output.tracers else None
         self.rows: list[dict] = []
         self.frame = 0
         self.next_frame_time = scene.output.frame_interval or np.inf
@@ -73,10 +76,15 @@ class Simulation:
         for name in state.saved:
             count = state.part.count if BY_NAME[name].location == CELL else state.part.node_count
             requests[name] = (state.part.start[::-1], count[::-1])
+        if self.tracers is not None:
+            requests |= self.tracers.requests(checkpoint.saved_shapes(path))
         arrays, saved = checkpoint.read_checkpoint(path, requests)
-        for name, array in arrays.items():
-            state.owned(name)[...] = array
+        check_same(self.scene.output.tracers, saved.get("tracers"))
+        for name in state.saved:
+            state.owned(name)[...] = arrays[name]
         state.settle()
+        if self.tracers is not None:
+            self.tracers.restore(saved["tracers"], arrays)
         self._restore(saved)
 
     def _restore(self, saved: dict) -> None:
@@ -85,6 +93,10 @@ class Simulation:
             setattr(clock, name, value)
         for name, value in saved["limits"].items():
             setattr(clock.limits, name, value)
+        asleep = saved.get("sleep", {"floor": 0, "since": 0.0})  # checkpoints were written before there was sleep
+        clock.sleep.since = asleep["since"]
+        if asleep["floor"]:
+            self.state.set_floor(asleep["floor"])
         self.ledger.restore({name: int(text) for name, text in saved["ledger"].items()})
         if not mpi.is_root():
             clock.active_cell_steps = 0
@@ -108,11 +120,13 @@ class Simulation:
                       "limit": clock.limit,
                       "fastest_heavy": float(mpi.maximum(clock.fastest_heavy)),
                       "active_cell_steps": int(mpi.total(np.int64(clock.active_cell_steps)))},
+            "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,
             "waiting": [a.tolist() for a in self.waiting.arrays],
             "flight": None if self.flight is None else self.flight.attributes(),
+            "tracers": None if self.tracers is None else self.tracers.attributes(),
             "rows": self.rows, "frame": self.frame,
             "next_frame_time": None if np.isinf(self.next_frame_time) else self.next_frame_time,
             "substrate_quanta": str(self.substrate_quanta),
@@ -154,17 +168,18 @@ class Simulation:
         if not self.batch_is_in:
             self.insert()
         clock = self.clock
+        follow = None if self.tracers is None else self._follow
         while clock.in_cycle < duration * (1.0 - 1e-12):
             clock.limits.stop = self.stop.asked()
             if self.flight is not None:
                 self._land()
-            advance(self.state, self.model, clock, self.ledger, duration)
+            advance(self.state, self.model, clock, self.ledger, duration, None, follow)
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
             if clock.time >= self.next_frame_time:
                 self._frame()
                 self.next_frame_time += self.scene.output.frame_interval
             if clock.stop and clock.in_cycle < duration * (1.0 - 1e-12):
-                path = self.folder.write_checkpoint(self.state, self.cycle, self._attributes())
+                path = self._checkpoint()
                 self.progress.say(f"stopped: {self.stop.reason()}; checkpoint {path}")
                 return False
         self._finish_cycle(duration)
@@ -177,9 +192,12 @@ class Simulation:
         batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
         if self.flight is not None:
             return self._launch(batch)
+        sleep.wake_for(self.state, self.model, self.clock.sleep, self.clock.time, scene.domain.layer_bottom)
         report: InsertReport = paint_batch(
             self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
             scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
+        if self.tracers is not None:
+            self.tracers.seed(report.positions, self.clock.time)
         self.waiting = report.deferred or join([])
         self.particles += report.spheres
         self.moved += report.moved
@@ -206,7 +224,11 @@ class Simulation:
         clock = self.clock
         arrived = self.flight.arrivals(self.state, clock.time, clock.between_remaps)
         if arrived is not None:
+            spheres = arrived[0]
+            sleep.wake_for(self.state, self.model, clock.sleep, clock.time, float((spheres.z - spheres.r).min()))
             paint_arrivals(self.state, self.model, arrived, self.scene.particles.temperature, self.ledger)
+            if self.tracers is not None:
+                self.tracers.seed(arrived[0], clock.time)
             clock.limits.heavy_speed = max(clock.limits.heavy_speed, self.scene.top_speed)
 
     def _finish_cycle(self, duration: float) -> None:
@@ -221,9 +243,11 @@ class Simulation:
         output = self.scene.output
         if output.frames == "cycle":
             self._frame()
+        if self.tracers is not None:
+            self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
         self.folder.write_tables(self.rows, self.summary())
         if output.checkpoints or clock.stop:
-            self.folder.write_checkpoint(self.state, self.cycle, self._attributes())
+            self._checkpoint()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
         t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"
@@ -233,6 +257,14 @@ class Simulation:
             f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
             f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
             + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))
+
+    def _follow(self, dt: float, displaced: bool) -> None:
+        """Move the tracers with the nodes."""
+        self.tracers.move(self.state, dt, displaced, self.clock.remaps)
+
+    def _checkpoint(self) -> pathlib.Path:
+        more = [] if self.tracers is None else self.tracers.blocks()
+        return self.folder.write_checkpoint(self.state, self.cycle, self._attributes(), more)
 
     def _frame(self) -> None:
         for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle):
@@ -251,6 +283,8 @@ class Simulation:
             "particles_in_flight": 0 if self.flight is None else self.flight.count}
         row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
+        if self.tracers is not None:
+            row |= self.tracers.census(self.state)
         active = int(mpi.total(np.int64(clock.active_cell_steps)))
         wall = float(mpi.broadcast(self.stop.elapsed()))
         loads = mpi.all_gather(clock.active_cell_steps - self.active_at_start_of_cycle)

@@ -5,6 +5,8 @@ fixed      mirror image behind the face, no velocity on it
 free       nothing behind the face: no traction, material may leave, nothing enters
 outflow    the same as free, by the name that Eulerian codes give it (copying the last layer outwards instead lets its
            stress push or pull at the box: energy from nowhere, up to 16 times the impact's)
+absorbing  more of the material behind the face, which takes waves away (:mod:`f2s_hpc.solver.absorbing`): any velocity
+           on the face, and nothing through it in the remap
 """
 
 from __future__ import annotations
@@ -16,18 +18,21 @@ import numpy as np
 from f2s_hpc.fields import BY_NAME, CELL, NODE
 from f2s_hpc.grid.box import GHOST, SIDES, Part
 from f2s_hpc.kernels.activity import BLOCK
-from f2s_hpc.kernels.sides import COPY, MIRROR, NONE, VOID, block_inflow, fill_ghosts
+from f2s_hpc.kernels.sides import COPY, EVEN, MIRROR, NONE, VOID, block_inflow, fill_ghosts
 
-_CELL_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": VOID, "outflow": VOID}
-_NODE_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": COPY, "outflow": COPY}
+_CELL_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": VOID, "outflow": VOID, "absorbing": EVEN}
+_NODE_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": COPY, "outflow": COPY, "absorbing": EVEN}
 
 
 class Boundary:
     """The sides of the box that this rank touches.
 
-    ``kinds``: per side of :data:`f2s_hpc.grid.box.SIDES` one of the four kinds above.
+    ``kinds``: per side of :data:`f2s_hpc.grid.box.SIDES` one of the five kinds above.
     ``weights``: per axis, the share of each local node plane that lies inside the box.
-    ``free_motion[axis, component, plane]``: 0 where a wall holds that velocity component.
+    ``free_motion[axis, component, plane]``: 0 where a wall holds that velocity component, or the floor (a local plane
+    of nodes, None if there is none) on which what is awake stands.
+    ``inward[axis, plane]``: on absorbing sides +1 (low) or -1 (high), else 0.
+    ``absorbing``: the absorbing sides touched here.
     """
 
     def __init__(self, part: Part, kinds: dict[str, str]) -> None:
@@ -38,17 +43,23 @@ class Boundary:
         planes = part.node_shape[::-1]
         self.weights = tuple(np.ones(n) for n in planes)
         self.free_motion = np.ones((3, 3, max(planes)))
+        self.inward = np.zeros((3, max(planes)))
+        self.absorbing = [side for side in self.touched if self.kinds[side] == "absorbing"]
         self._rules = {location: self._rules_of(location) for location in (CELL, NODE)}
         self._groups: dict[tuple, list[tuple]] = {}
+        self.floor: int | None = None
+        self._held_before = np.empty(3)
         for side in self.touched:
             axis, kind = SIDES.index(side) // 2, self.kinds[side]
             wall = self.wall_plane(side)
-            if kind in ("symmetry", "fixed"):
+            if kind in ("symmetry", "fixed", "absorbing"):
                 self.weights[axis][wall] = 0.5
             if kind == "symmetry":
                 self.free_motion[axis, axis, wall] = 0.0
             elif kind == "fixed":
                 self.free_motion[axis, :, wall] = 0.0
+            elif kind == "absorbing":
+                self.inward[axis, wall] = -1.0 if side.endswith("high") else 1.0
 
     def wall_plane(self, side: str) -> int:
         """Return the local index of the node (and face) plane that lies on ``side``."""
@@ -106,8 +117,41 @@ class Boundary:
             self._groups[key] = groups
         return self._groups[key]
 
+    def hold_floor(self, plane: int | None) -> None:
+        """Hold the nodes of the local ``plane`` normal to z, as a fixed wall does, instead of the floor before.
+
+        None, or a plane that this rank does not have: no floor.
+        """
+        if self.floor is not None:
+            self.free_motion[2, :, self.floor] = self._held_before
+        self.floor = plane if plane is not None and 0 <= plane < self.part.node_shape[0] else None
+        if self.floor is not None:
+            self._held_before = self.free_motion[2, :, self.floor].copy()
+            self.free_motion[2, :, self.floor] = 0.0
+
+    def pulled(self) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+        """Return how many layers of cells (x, y, z) around the low and high sides pull at this rank's nodes.
+
+        Behind an absorbing side none: what is there acts by its traction alone.
+        """
+        return tuple(tuple(int(side not in self.absorbing) for side in SIDES[end::2]) for end in (0, 1))
+
+    def mirror_sweeps(self, memory: np.ndarray, offsets: Sequence[int], active: np.ndarray) -> None:
+        """Let the faces behind absorbing sides sweep what mirrors do; ``offsets``: of the sweeps along x, y, z."""
+        sign = np.array([-1.0])
+        for axis in range(3):
+            sides = SIDES[2 * axis:2 * axis + 2]
+            if not set(sides) & set(self.absorbing):
+                continue
+            rules = tuple(MIRROR if side in self.absorbing else NONE for side in sides)
+            fill_ghosts(memory, np.array([offsets[axis]], dtype=np.int64), self.part.node_shape, axis, rules,
+                        tuple(self.wall_plane(side) for side in sides), GHOST, True, sign, active, BLOCK)
+
     def hold(self, velocity: Sequence[np.ndarray]) -> None:
-        """Set to zero the velocity components that the touched walls hold."""
+        """Set to zero the velocity components that the touched walls and the floor hold."""
+        if self.floor is not None:
+            for array in velocity:
+                array[self.floor] = 0.0
         for side in self.touched:
             axis, wall = SIDES.index(side) // 2, self.wall_plane(side)
             for component, array in enumerate(velocity):

@@ -210,6 +210,13 @@ def newest_valid_checkpoint(folder: str | os.PathLike) -> tuple[pathlib.Path, li
     raise CheckpointError("; ".join([f"{folder}: no valid checkpoint to continue from", *skipped]))
 
 
+def saved_shapes(path: str | os.PathLike) -> dict[str, tuple[int, int, int]]:
+    """Return the shape of every field of a checkpoint. Collective; raises ``CheckpointError`` on all ranks."""
+    path = pathlib.Path(path)
+    manifest = attempt_on_root(lambda: read_manifest(path), f"cannot read {path}", CheckpointError)
+    return {name: record.shape for name, record in manifest.fields.items()}
+
+
 def _complete(path: pathlib.Path) -> bool:
     try:
         read_manifest(path)

@@ -5,6 +5,7 @@ A run folder holds::
     checkpoints/checkpoint_cycle_0003_step_00001234.h5     every saved field, float64
     checkpoints/checkpoint_cycle_0003_step_00001234.json   its manifest, written last
     frames/frame_000003.vtkhdf                             chosen fields, float32, one file per frame
+    tracers/tracers_000003.vtkhdf                          points of the particles at the end of a cycle
     deposit.vtkhdf  deposit.xmf                            what ParaView opens as a time series
     summary.json  summary.csv                              the run, and one row per cycle
 
@@ -28,7 +29,7 @@ from f2s_hpc import mpi
 from f2s_hpc.errors import F2SError
 
 FORMAT_VERSION = 1
-CHECKPOINTS, FRAMES = "checkpoints", "frames"
+CHECKPOINTS, FRAMES, TRACERS = "checkpoints", "frames", "tracers"
 SUMMARY_JSON, SUMMARY_CSV = "summary.json", "summary.csv"
 INDEX, SIDECAR = "deposit.vtkhdf", "deposit.xmf"
 PARTIAL, DELETED = ".partial", ".deleted"
@@ -211,14 +212,17 @@ def read_text(file: h5py.File, name: str) -> str:
 
 
 def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Block], texts: dict[str, str],
-                 prepare: Callable[[h5py.File], None], dtype: str, compress: bool, kind: type[F2SError]) -> None:
+                 prepare: Callable[[h5py.File], None], dtype: str | Sequence[str], compress: bool,
+                 kind: type[F2SError]) -> None:
     """Write ``blocks`` to the datasets ``places`` of a new HDF5 file, all ranks together, and flush it.
 
-    ``prepare`` adds groups and attributes, the same on all ranks. Any failure on any rank raises
-    ``kind`` on all ranks and removes the file.
+    ``dtype``: of all datasets, or one for each. ``prepare`` adds groups and attributes, the same on all ranks. Any
+    failure on any rank raises ``kind`` on all ranks and removes the file.
     """
     context = f"cannot write {path.name.removeprefix('.').removesuffix(PARTIAL)} in {path.parent}"
-    size = np.dtype(dtype).itemsize * sum(int(np.prod(block.global_shape, dtype=np.int64)) for block in blocks)
+    types = [dtype] * len(blocks) if isinstance(dtype, str) else dtype
+    size = sum(np.dtype(t).itemsize * int(np.prod(block.global_shape, dtype=np.int64))
+               for t, block in zip(types, blocks, strict=True))
     attempt_on_root(lambda: _check_space(path.parent, size), context, kind)
     file = attempt_together(lambda: open_shared(path, "w"), context, kind)
     chunks = brick(blocks) if compress else [None] * len(blocks)
@@ -228,8 +232,8 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
         prepare(file)
         for name, text in texts.items():
             write_text(file, name, text)
-        return [file.create_dataset(place, block.global_shape, dtype=dtype, chunks=chunk, **filters)
-                for place, block, chunk in zip(places, blocks, chunks, strict=True)]
+        return [file.create_dataset(place, block.global_shape, dtype=t, chunks=chunk, **filters)
+                for place, block, t, chunk in zip(places, blocks, types, chunks, strict=True)]
 
     try:
         datasets = attempt_together(structure, context, kind)
@@ -242,6 +246,15 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
     except F2SError:
         _abandon(file, path)
         raise
+
+
+def read_back(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Block]) -> None:
+    """Compare this rank's part of the file with memory: some MPI libraries report success on a full disk."""
+    with h5py.File(path, "r") as file:
+        for place, block in zip(places, blocks, strict=True):
+            found = file[place][box_selection(block.start, block.data.shape)]
+            if found.tobytes() != as_type(block.data, found.dtype).tobytes():
+                raise OSError(f"field {block.name!r} does not read back as written")
 
 
 def _check_space(folder: pathlib.Path, size: int) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from f2s_hpc._jit import kernel
+from f2s_hpc.materials.pressure import pressure
 
 BLOCK = 16
 
@@ -193,6 +194,34 @@ def retire(before, active, shape, memory, cells, nodes):
                 for f in range(nodes.size):
                     for i in range(first, last):
                         memory[nodes[f] + node + i] = 0.0
+
+
+@kernel
+def look_at_planes(cells, nodes, shape, first, eos, mass, fraction, energy, u, v, w, filled, pressures, square):
+    """Add up what each plane of cells holds, find its largest pressure and the largest speed of each plane of nodes.
+
+    ``cells``, ``nodes``: (k0, k1, j0, j1, i0, i1) of those to look at; ``shape``: (ny, nx) of a cell array; ``first``:
+    plane of the box that is the local plane 0. ``filled`` int64 takes the volume fractions in units of 2^-20,
+    ``pressures`` the largest pressure, compressive or tensile (Pa), ``square`` the largest squared speed (m2/s2).
+    """
+    ny, nx = shape
+    for k in range(cells[0], cells[1]):
+        total, most = np.int64(0), 0.0
+        for j in range(cells[2], cells[3]):
+            row = (k * ny + j) * nx
+            for c in range(row + cells[4], row + cells[5]):
+                total += np.int64(fraction[c] * 1048576.0)
+                if fraction[c] >= 1.0:
+                    most = max(most, abs(pressure(eos, mass[c], energy[c] if energy.size > 1 else 0.0)))
+        filled[first + k] += total
+        pressures[first + k] = max(pressures[first + k], most)
+    for k in range(nodes[0], nodes[1]):
+        most = 0.0
+        for j in range(nodes[2], nodes[3]):
+            row = (k * (ny + 1) + j) * (nx + 1)
+            for n in range(row + nodes[4], row + nodes[5]):
+                most = max(most, u[n] * u[n] + v[n] * v[n] + w[n] * w[n])
+        square[first + k] = max(square[first + k], most)
 
 
 def block_count(row_length: int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from f2s_hpc._jit import borrowed, kernel
 
-NONE, MIRROR, VOID, COPY = 0, 1, 2, 3
+NONE, MIRROR, VOID, COPY, EVEN = 0, 1, 2, 3, 4
 
 
 @kernel
@@ -38,7 +38,7 @@ def _fill_ends(memory, offsets, signs, rules, edges, layers, on_nodes, active, k
             if rule == NONE or not active[k, j, min((edge + direction * layer) // block, blocks - 1)]:
                 continue
             source = row + edge
-            if rule == MIRROR:
+            if rule == MIRROR or rule == EVEN:
                 source -= direction * (layer if on_nodes else layer - 1)
             for f in range(offsets.size):
                 factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
@@ -51,10 +51,10 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, si
 
     ``offsets``: where the fields start in ``memory``; ``shape``: (nz, ny, nx) of their local arrays. ``axis``: 0, 1, 2
     for x, y, z. Per side, low and high: ``rules`` NONE leaves it alone (another rank is there), MIRROR reflects with
-    ``signs`` (one per field), VOID writes zero, COPY repeats the edge layer; ``edges``: index of the last layer inside
-    the box. ``on_nodes``: that layer is the wall itself. ``active``: blocks (nz, ny, blocks) of ``block`` cells;
-    elsewhere all is zero. Layers of both sides take turns, since in a box thinner than the ghosts the mirror image of
-    one lies behind the other.
+    ``signs`` (one per field), EVEN without a change of sign, VOID writes zero, COPY repeats the edge layer; ``edges``:
+    index of the last layer inside the box. ``on_nodes``: that layer is the wall itself. ``active``: blocks (nz, ny,
+    blocks) of ``block`` cells; elsewhere all is zero. Layers of both sides take turns, since in a box thinner than the
+    ghosts the mirror image of one lies behind the other.
     """
     nz, ny, nx = shape
     memory = borrowed(memory)
@@ -72,7 +72,7 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, si
                 continue
             target = edge + direction * layer
             source = edge
-            if rule == MIRROR:
+            if rule == MIRROR or rule == EVEN:
                 source = edge - direction * (layer if on_nodes else layer - 1)
             if axis == 1:
                 for k in range(nz):

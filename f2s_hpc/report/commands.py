@@ -14,7 +14,7 @@ import numpy as np
 from f2s_hpc import mpi
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.errors import F2SError, InputError
-from f2s_hpc.report import facts
+from f2s_hpc.report import facts, traced
 from f2s_hpc.report.deposit import load_deposit
 from f2s_hpc.report.draw import draw_all
 from f2s_hpc.report.experiment import read_profile, write_columns
@@ -168,6 +168,8 @@ def _write_tables(place: pathlib.Path, found: Measurements) -> None:
     write_columns(place / "flattening.csv", {
         "width_um": _micro(flat.width), "height_um": _micro(flat.height), "equation_5": flat.equation_5.tolist(),
         "diameter_um": _micro(flat.diameter), "equation_6": flat.equation_6.tolist()})
+    if found.traced is not None:
+        write_columns(place / "flattening-tracers.csv", traced.columns(found.traced))
     for name, d in found.distributions.items():
         unit = {"peeq": "", "temperature": "_K", "von_mises": "_Pa"}[name]
         columns = {"low_um": _micro(d.low), "high_um": _micro(d.high), "volume_um3": (1e18 * d.volume).tolist(),

@@ -16,6 +16,7 @@ from f2s_hpc.fields import STRESS, VELOCITY
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.io.manifest import read_manifest
+from f2s_hpc.io.tracers import TracerCloud, read_tracers
 from f2s_hpc.kernels import derived
 from f2s_hpc.particles.batch import Batch
 
@@ -34,7 +35,8 @@ class Deposit:
     ``fraction``: volume fraction; ``peeq``; ``temperature`` (K); ``von_mises`` (Pa); ``landed`` (bool): slower than
     ``LANDED`` of the particles' speed and attached (``surface.attached_material``); ``detached``: volume of what is as
     slow but hangs in the air (m3); ``surface``: height of what has landed above the bottom of the box (m), (ny, nx)
-    float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles.
+    float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles;
+    ``tracers``: the points of the particles, where the scene asked for them.
     """
 
     folder: pathlib.Path
@@ -50,6 +52,7 @@ class Deposit:
     detached: float
     surface: np.ndarray
     batches: list[Batch]
+    tracers: TracerCloud | None = None
 
     @property
     def dx(self) -> float:
@@ -161,7 +164,8 @@ def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: 
         # what has landed is at rest, all else is in flight
         surface[rows] = surface_height(fraction[:, rows], np.where(landed[:, rows], 0.0, 1.0), dx, 0.5)
     return Deposit(folder, scene, cycle, time, path, fraction, arrays["peeq"], arrays["temperature"],
-                   arrays["von_mises"], landed, detached, surface, _painted(folder, scene))
+                   arrays["von_mises"], landed, detached, surface, _painted(folder, scene),
+                   read_tracers(folder, cycle) if scene.output.tracers else None)
 
 
 def _painted(folder: pathlib.Path, scene: Scene) -> list[Batch]:

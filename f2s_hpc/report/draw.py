@@ -46,6 +46,9 @@ def draw_all(folder: pathlib.Path, runs: Sequence[tuple[str, Measurements]]) -> 
         section_figures.section_fields(place("sections", number), fraction,
                                        {name: section.cut(getattr(deposit, name)) for name in FIELDS}, frame, bounds)
         _boundaries(place("boundaries", number), m, frame, fraction)
+        if m.traced is not None and m.traced.flattening.count:
+            figures.flattening_figure(place("flattening-tracers", number), [
+                ("by tracers", m.traced.flattening, m.traced.fits), ("in sections", m.flattening, m.fits)], "")
         if m.porosity is not None:
             _pores(place("pores", number), m, frame, fraction)
         if m.rough_along is not None:

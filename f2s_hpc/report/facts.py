@@ -22,6 +22,7 @@ ENERGY_NAMES = {
     "shock_viscosity": "shock viscosity", "hourglass": "hourglass control", "light_nodes": "light nodes",
     "remap_kinetic": "kinetic, lost by the remap", "remap_elastic": "elastic, lost by the remap",
     "time_step": "error of the explicit step", "through_faces": "left through the sides", "kinetic": "still kinetic",
+    "put_to_sleep": "ringing that was put to sleep",
     "elastic": "stored elastically", "remainder": "unexplained"}
 
 METHODS = (
@@ -43,6 +44,12 @@ METHODS = (
      "substrate: W and H are their extents, Eq. (5) is W/H, Eq. (6) W/D with D the cube root of W W H. A section "
      "rarely cuts a particle through its middle, in a micrograph as here."),
 )
+
+TRACER_METHOD = (
+    "Tracers: each sphere was seeded, where it was put onto the grid, with points of equal volume that move with the "
+    "material. W and H are those of the ellipsoid with the second moments of the particle's points in the deposit, W "
+    "from the mean square of both horizontal axes: no section, no boundary to be found. Left out are particles that a "
+    "side of the box cuts and those of which less than half is in the deposit.")
 
 
 def subtitle(runs: Runs) -> str:
@@ -155,13 +162,18 @@ def handover_text(found: Handover | None) -> str:
 
 
 def flattening_verdict(names: Sequence[str], first: Measurements, second: Measurements) -> str:
-    """Return which of two runs flattens its particles more, by both equations, or that the scatter hides it."""
+    """Return which of two runs flattens its particles more, by both equations, or that the scatter hides it.
+
+    By their tracers where both have them, else by their sections.
+    """
+    by_tracers = first.traced is not None and second.traced is not None
+    flats = [m.traced.flattening if by_tracers else m.flattening for m in (first, second)]
     tests: dict[str, MeanDifference | None] = {
-        text: mean_difference(getattr(first.flattening, key), getattr(second.flattening, key))
+        text: mean_difference(getattr(flats[0], key), getattr(flats[1], key))
         for key, text in (("equation_5", "W/H, Eq. (5)"), ("equation_6", "W/D, Eq. (6)"))}
     if any(test is None for test in tests.values()):
-        return (f"Which flattens more cannot be told: {first.flattening.count} and {second.flattening.count} particles "
-                "were found in the sections.")
+        return (f"Which flattens more cannot be told: {flats[0].count} and {flats[1].count} particles were "
+                f"{'measured by their tracers' if by_tracers else 'found in the sections'}.")
     numbers = "; ".join(
         f"mean {text}: {test.first:.3f} against {test.second:.3f} (difference {test.difference:+.3f}, 90 % interval "
         f"{test.low:+.3f} to {test.high:+.3f})" for text, test in tests.items())
@@ -171,6 +183,28 @@ def flattening_verdict(names: Sequence[str], first: Measurements, second: Measur
     more = names[1] if decided.pop() > 0 else names[0]
     both = all(test.decided for test in tests.values())
     return f"{more} flattens more{'' if both else ' (by one of the two equations)'}: {numbers}."
+
+
+def traced_finding(found: Measurements) -> str:
+    """Return the flattening by tracers beside that from sections, as one sentence."""
+    flat = found.traced.flattening
+    if not flat.count:
+        return "No particle that was traced is whole and in the deposit"
+    text = (f"by tracers {flat.count} particles have a mean W/H of {np.nanmean(flat.equation_5):.3f} and W/D of "
+            f"{np.nanmean(flat.equation_6):.3f}")
+    fit = found.traced.fits["exact_6"]
+    if fit is not None:
+        low, high = (float(fit.line(edge(flat.true_diameter[np.isfinite(flat.width)]))) for edge in (np.min, np.max))
+        text += f", W over the diameter before impact going from {low:.2f} (smallest) to {high:.2f} (largest)"
+        if found.paper_height is not None:
+            text += ", in the paper's Fig. 17 by Eq. (6) from about 1.2 to 1.4"
+    tests = [mean_difference(getattr(flat, key), getattr(found.flattening, key)) for key in ("equation_5",
+                                                                                             "equation_6")]
+    if all(tests):
+        text += (f"; {found.flattening.count} particles in sections show " + " and ".join(
+            f"{test.second:.3f} (off by {test.difference:+.3f}, 90 % interval {test.low:+.3f} to {test.high:+.3f})"
+            for test in tests))
+    return text
 
 
 def findings(runs: Runs) -> list[str]:
@@ -191,6 +225,8 @@ def findings(runs: Runs) -> list[str]:
         if m.overlap is not None:
             text += f"; overlap with the experiment {100 * m.overlap.over_union:.1f} %"
         texts.append(f"{text}.")
+        if m.traced is not None:
+            texts.append(f"{label + ': ' if label else ''}{traced_finding(m)}.")
     if len(runs) == 2:
         texts.append(flattening_verdict([label for label, _ in runs], runs[0][1], runs[1][1]))
         medians = [float(deposit_percentiles(m, "peeq")[SHARES.index(0.5)]) for _, m in runs]

@@ -13,6 +13,7 @@ from f2s_hpc.analysis.surface import dense_height
 from f2s_hpc.errors import InputError
 from f2s_hpc.report.deposit import Deposit
 from f2s_hpc.report.handover import Handover
+from f2s_hpc.report.traced import TracedParticles, trace
 
 PAPER_HEIGHT = {"recurring": 363e-6, "standard": 362e-6}
 """Height of the deposit of section 4 (m), both schemes: Ge et al. 2026, section 4 and Fig. 7."""
@@ -58,7 +59,7 @@ class Measurements:
     """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI.
 
     ``distributions``: in layers; ``overall``: in the whole substrate and in the whole deposit; ``rough_along``: of
-    profiles along the track, ``rough_across`` of those across it.
+    profiles along the track, ``rough_across`` of those across it; ``traced``: every particle, from its points.
     """
 
     deposit: Deposit
@@ -80,6 +81,7 @@ class Measurements:
     experiment: profile.Profile | None = None
     overlap: profile.Overlap | None = None
     handover: Handover | None = None
+    traced: TracedParticles | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -125,7 +127,9 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
         _distributions(deposit, deposit.fraction.shape[0] * deposit.dx), flat,
         {"equation_5": flattening.regression(flat.width, flat.equation_5),
          "equation_6": flattening.regression(flat.diameter, flat.equation_6)}, section, planes,
-        experiment=experiment, notes=notes)
+        experiment=experiment, notes=notes, traced=trace(deposit))
+    if deposit.scene.output.tracers and found.traced is None:
+        notes.append(f"tracers: no points were saved at the end of cycle {deposit.cycle}")
     _roughness(found)
     if experiment is not None:
         found.overlap = profile.overlap(whole, experiment, settings.align)

@@ -42,6 +42,8 @@ _CAPTIONS = {
     "boundaries": "Ridges of PEEQ taken as particle boundaries; numbered particles are measured.",
     "flattening": "Flattening ratios of the particles in sections, with linear fits and 90 % bands, as in Fig. 17 of "
                   "the paper.",
+    "flattening-tracers": "Flattening ratios of every particle by its tracers, beside those of the particles in "
+                          "sections.",
 }
 
 
@@ -99,7 +101,10 @@ def build_page(runs: Sequence[tuple[str, Measurements]], drawn: Mapping[str, lis
             ("Heights", "Height", ()), ("Profile and height map", "Profile", ("profile", "height-map")),
             ("Roughness", "Roughness", ("roughness",)), ("Porosity", "Porosity", ("pores",)),
             ("PEEQ, temperature and stress by depth", "State", ("depth",)), ("Sections", "", ("sections",)),
-            ("Flattening", "Flattening", ("boundaries", "flattening"))):
+            ("Flattening", "Flattening", ("boundaries", "flattening")),
+            ("Every particle", "Tracers:", ("flattening-tracers",))):
+        if group == "Tracers:" and group not in by_group:
+            continue
         content = (_table(by_group[group]) if group in by_group else "") + "".join(
             _figures(picture, drawn, labels) for picture in pictures)
         if group == "State":
@@ -137,6 +142,7 @@ def _finding(runs: Sequence[tuple[str, Measurements]]) -> str:
 
 
 def _notes(runs: Sequence[tuple[str, Measurements]]) -> str:
+    methods = [*facts.METHODS, *([facts.TRACER_METHOD] if any(m.traced for _, m in runs) else [])]
     own = [f"{label + ': ' if label else ''}{note}" for label, m in runs for note in m.notes]
     return ("".join(f'<p class="note">{_escape(note)}</p>' for note in dict.fromkeys(own))
-            + "".join(f"<p>{_escape(text)}</p>" for text in facts.METHODS))
+            + "".join(f"<p>{_escape(text)}</p>" for text in methods))

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from f2s_hpc.analysis.depth import SHARES
+from f2s_hpc.analysis.flattening import Regression
 from f2s_hpc.report.measure import Measurements, deposit_percentiles
+from f2s_hpc.report.traced import APART, CUT
 
 _INDENT = "   "
 PAPER_POROSITY = 0.0053
@@ -50,7 +52,7 @@ def _share(group: str, key: str, name: str, value: float | None, paper: float | 
 def quantities(found: Measurements) -> list[Quantity]:
     """Return every single number of the measurements, in the order in which they are shown."""
     return [*_heights(found), *_profile(found), *_roughness(found), *_porosity(found), *_flattening(found),
-            *_overall(found)]
+            *_traced(found), *_overall(found)]
 
 
 def _heights(found: Measurements) -> list[Quantity]:
@@ -136,15 +138,52 @@ def _flattening(found: Measurements) -> list[Quantity]:
             _length(group, "flattening_width", "mean width W", _mean(flat.width)),
             _length(group, "flattening_height", "mean height H", _mean(flat.height))]
     for key, name in (("equation_5", "W/H over W, Eq. (5)"), ("equation_6", "W/D over D, Eq. (6)")):
-        fit = found.fits[key]
-        if fit is not None:
-            rows += [Quantity(group, f"flattening_{key}_slope_per_m", f"slope of {name}", fit.slope, "1/µm", 1e-6,
-                              ".4f"),
-                     Quantity(group, f"flattening_{key}_slope_error_per_m", f"{_INDENT}its standard error",
-                              fit.slope_error, "1/µm", 1e-6, ".4f"),
-                     Quantity(group, f"flattening_{key}_intercept", f"intercept of {name}", fit.intercept, "", 1.0,
-                              ".3f")]
+        rows += _line(group, f"flattening_{key}", name, found.fits[key])
     return rows
+
+
+def _traced(found: Measurements) -> list[Quantity]:
+    traced = found.traced
+    if traced is None:
+        return []
+    group, flat = "Tracers: flattening of every particle, from the points that moved with it", traced.flattening
+
+    def count(key: str, name: str, value: int) -> Quantity:
+        return Quantity(group, f"tracer_{key}", name, float(value), "", 1.0, ".0f")
+
+    def ratio(key: str, name: str, value: float | None) -> Quantity:
+        return Quantity(group, f"tracer_{key}", name, value, "", 1.0, ".3f")
+
+    five, six = _mean(flat.equation_5), _mean(flat.equation_6)
+    rows = [count("particles", "particles measured", flat.count), count("cut", "cut by a side", traced.number(CUT)),
+            count("apart", "flying, rebounded or gone", traced.number(APART)),
+            count("waiting", "not on the grid yet", traced.waiting), count("points", "points", traced.points),
+            count("in_void", f"{_INDENT}of them in void cells", traced.in_void),
+            count("outside", f"{_INDENT}of them outside of the box", traced.outside),
+            ratio("equation_5", "mean of W/H, Eq. (5)", five), ratio("equation_6", "mean of W/D, Eq. (6)", six),
+            ratio("exact_6", "mean of W over the diameter before impact", _mean(flat.exact_6)),
+            ratio("bulk", "mean of D over the diameter before impact; 1 for ellipsoids, more for bent shapes",
+                  _mean(flat.diameter / flat.true_diameter)),
+            _length(group, "tracer_width", "mean width W", _mean(flat.width)),
+            _length(group, "tracer_height", "mean height H", _mean(flat.height))]
+    for key, name in (("equation_5", "W/H over W, Eq. (5)"), ("equation_6", "W/D over D, Eq. (6)"),
+                      ("exact_6", "W over the diameter before impact, over that")):
+        rows += _line(group, f"tracer_{key}", name, traced.fits[key])
+    for key, name, mine in (("equation_5", "W/H", five), ("equation_6", "W/D", six)):
+        other = _mean(getattr(found.flattening, key))
+        if mine is not None and other is not None:
+            rows.append(Quantity(group, f"sections_{key}_less_tracers", f"mean {name} of the sections, off that",
+                                 other / mine - 1.0, "%", 100.0, "+.1f"))
+    return rows
+
+
+def _line(group: str, key: str, name: str, fit: Regression | None) -> list[Quantity]:
+    if fit is None:
+        return []
+    return [Quantity(group, f"{key}_slope_per_m", f"slope of {name}", fit.slope, "1/µm", 1e-6, ".4f"),
+            Quantity(group, f"{key}_slope_error_per_m", f"{_INDENT}its standard error", fit.slope_error, "1/µm", 1e-6,
+                     ".4f"),
+            Quantity(group, f"{key}_intercept", f"intercept of {name}", fit.intercept, "", 1.0, ".3f")]
 
 
 def _overall(found: Measurements) -> list[Quantity]:

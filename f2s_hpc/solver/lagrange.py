@@ -9,6 +9,7 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import deformed, force, momentum, remap, strain
+from f2s_hpc.solver import absorbing
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -37,9 +38,9 @@ def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray,
                                      state.flat["dual_flux"])
     s = model.settings
     return force.nodal_forces(
-        runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.cell_window(), shape, model.dx, last_dt, model.bulk,
-        model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"], state.energy,
-        state.stress, *state.velocity, *state.force, displaced, *state.displacement, *state.sweep,
+        runs, count, state.cell_window(*state.boundary.pulled()), state.cell_window(), shape, model.dx, last_dt,
+        model.bulk, model.eos, s.viscosity, s.hourglass, state.flat["mass"], state.flat["volume_fraction"],
+        state.energy, state.stress, *state.velocity, *state.force, displaced, *state.displacement, *state.sweep,
         *(state.flat[n] for n in TO_HEAT), model.energy_quantum * 1e9, ledger_power)
 
 
@@ -53,6 +54,7 @@ def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
     runs, count = state.runs
     sums = np.zeros(4, dtype=np.int64)
     boundary = state.boundary
+    absorbing.apply_traction(state, model, dt, ledger)
     momentum.accelerate(
         runs, count, state.node_window(), state.part.cell_shape[1:], dt, model.dx, model.bulk.density,
         model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],

@@ -19,7 +19,8 @@ ENERGY_TERMS = {
     "remap_kinetic": "kinetic energy lost in the momentum remap, summed node by node",
     "remap_elastic": "elastic energy lost in the stress remap and the closure",
     "time_step": "work of the forces on the nodes less what the cells received: error of the explicit step",
-    "through_faces": "kinetic energy that left through open faces",
+    "put_to_sleep": "kinetic energy of what was put to sleep (numerics.sleeping_depth)",
+    "through_faces": "kinetic energy that left through open faces, and what absorbing ones took",
     "remainder": "what no term explains",
     "heat": "heat from plastic work, shock viscosity and numerical losses (contained in those, no term of the balance)",
     "returned_heat": "share of that heat that comes from hourglass control, remap and light nodes",
@@ -27,7 +28,8 @@ ENERGY_TERMS = {
 
 _COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned", "exchanged",
            "exchange_kept", "lost", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before",
-           "elastic_after", "through_faces", "mass_left", "mass_capped", "mass_painted", "nodes_capped")
+           "elastic_after", "through_faces", "put_to_sleep", "mass_left", "mass_lent", "mass_capped", "mass_painted",
+           "nodes_capped")
 
 
 class Ledger:
@@ -54,7 +56,8 @@ class Ledger:
 
     def restore(self, totals: dict[str, int]) -> None:
         """Continue from the totals of a checkpoint: rank 0 takes them, the others start at zero."""
-        self.counts = {name: int(totals[name]) if mpi.is_root() else 0 for name in _COUNTS}
+        # (a count that is younger than the checkpoint was zero)
+        self.counts = {name: int(totals.get(name, 0)) if mpi.is_root() else 0 for name in _COUNTS}
 
     def energy(self, totals: dict[str, int], kinetic_now: int, elastic_now: int) -> dict[str, float]:
         """Return the energy balance in joules (terms of :data:`ENERGY_TERMS`)."""
@@ -73,6 +76,7 @@ class Ledger:
             "light_nodes": light * joule,
             "remap_kinetic": remap_kinetic * joule,
             "remap_elastic": remap_elastic * joule,
+            "put_to_sleep": totals["put_to_sleep"] * joule,
             "through_faces": totals["through_faces"] * joule,
         }
         received = (totals["elastic_after"] - totals["elastic_before"] + totals["plastic_work"]

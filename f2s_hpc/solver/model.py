@@ -28,6 +28,9 @@ class Settings(NamedTuple):
     second_order: bool
     dust: float  # full cells
     largest_strain: float  # strain per step beyond which a light cell's increment is scaled down
+    sleeping_depth: float = 0.0  # m below the surface, from which on material at rest is not stepped; 0: never
+    rest_speed: float = 0.0  # m/s, below which it is at rest
+    absorbing_depth: float = 0.5e-3  # m, of the material whose static stiffness stands behind absorbing sides
 
 
 class Model(NamedTuple):

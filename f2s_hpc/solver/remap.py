@@ -7,6 +7,7 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.grid.box import SIDES
 from f2s_hpc.kernels import flux, momentum, remap
+from f2s_hpc.solver import absorbing
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -34,6 +35,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     done = 0
     order = sweep_order(number)
     state.exchange(("volume_fraction",))
+    absorbing.lend_mass(state, model, ledger)
     state.exchange(state.carried_cells, axis=order[0])
     for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from f2s_hpc.errors import UnstableStep
-from f2s_hpc.solver import heat, lagrange, remap, timestep
+from f2s_hpc.solver import heat, lagrange, remap, sleep, timestep
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -31,6 +32,7 @@ class Clock:
     fastest_heavy: float = 0.0
     stop: bool = False  # some rank asked for a stop; all ranks know it after the same step
     active_cell_steps: int = 0
+    sleep: sleep.Sleep = field(default_factory=sleep.Sleep)
 
     @property
     def time(self) -> float:
@@ -39,13 +41,17 @@ class Clock:
 
 
 def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end: float,
-            most: int | None = None) -> None:
+            most: int | None = None, follow: Callable[[float, bool], None] | None = None) -> None:
     """Take Lagrangian steps on the moving mesh, then remap back onto the fixed one.
 
     As many steps as the settings allow, at most ``most``; velocity at half steps, everything else at whole steps.
     ``cycle_end``: duration of the cycle (s). Before and after, the ghosts that the next step reads are valid: all of
     mass, volume fraction and velocity, the first layer of the other fields. Stops all ranks with ``UnstableStep``.
+    ``follow`` is called before the remap, for what moves with the nodes: with the last step (s), and whether others
+    before it have displaced them.
     """
+    if model.settings.sleeping_depth:
+        sleep.look(state, model, clock.sleep, clock.time, clock.remaps, ledger)
     state.update_activity()
     since, started = timestep.SinceRemap(), clock.in_cycle
     while True:
@@ -71,6 +77,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         if last:
             break
         lagrange.displace(state, model, dt, displaced)
+    if follow is not None:
+        follow(dt, displaced)
     remap.remap_all(state, model, clock.remaps, ledger)
     clock.remaps, clock.between_remaps = clock.remaps + 1, clock.in_cycle - started
 

@@ -6,13 +6,27 @@ from collections.abc import Sequence
 
 from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
-from f2s_hpc.verify import contact, deposit, heat, impact, material, motion, piston, radial_return, taylor, vof, waves
+from f2s_hpc.verify import (
+    absorbing,
+    contact,
+    deposit,
+    heat,
+    impact,
+    material,
+    motion,
+    piston,
+    radial_return,
+    taylor,
+    vof,
+    waves,
+)
 from f2s_hpc.verify.case import Case
 
 MODULES = (
     material,
     radial_return,
     waves,
+    absorbing,
     piston,
     motion,
     heat,

@@ -31,6 +31,7 @@ from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
 from f2s_hpc.errors import InputError, UnstableStep
 from f2s_hpc.particles.batch import BatchPlan, make_batches
+from f2s_hpc.solver import sleep
 from f2s_hpc.solver.step import advance
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
@@ -214,9 +215,9 @@ class Watch:
         s = self.setup
         total = sum(mpi.all_gather(float((s.state.owned("mass") * s.state.owned("peeq")).sum())))
         totals = s.ledger.totals()
-        left = totals["mass_left"] + totals["mass_capped"]
+        left = totals["mass_left"] + totals["mass_capped"] + totals["mass_lent"]
         # mass is counted in quanta: what left is known to the bar of the mass only
-        known = left - self._left + MASS_BAR * (totals["mass_painted"] + self.substrate)
+        known = max(left - self._left, 0) + MASS_BAR * (totals["mass_painted"] + self.substrate)
         carried = known * s.model.mass_quantum * self.peeq_max
         self._most_peeq = max(self._most_peeq, total)
         if total < self._peeq - carried - PEEQ_BAR * self._most_peeq:
@@ -250,6 +251,7 @@ def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float
     """
     for cycle, duration in enumerate(scene.cycles.durations):
         batch = plan.batches[plan.order[cycle]]
+        sleep.wake_for(setup.state, setup.model, setup.clock.sleep, setup.clock.time, scene.domain.layer_bottom)
         setup.report = paint_batch(setup.state, setup.model, batch, scene.domain.layer_bottom,
                                    scene.particles.velocity, scene.particles.temperature, setup.ledger,
                                    scene.batches.seed * 1000003 + cycle)

@@ -9,7 +9,7 @@ memory: with ballistic flight that is all above the deposit, else particles pass
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,10 @@ TEMPORARY = 80
 
 MAP = 33
 """Per ghost of another rank and exchanged field: indices of the star forests here and there, and buffers (bytes)."""
+
+TRACER, SENT = 205, 145
+"""Per tracer point of this rank: its number and place, and what is made while it is sorted or written (bytes); more
+where there are other ranks, which it is handed over to."""
 
 PICTURE = 50 * 2**20
 """More on rank 0 at the very end, while matplotlib draws the picture (bytes)."""
@@ -105,4 +109,10 @@ def of_ranks(scene: Scene, ranges: Ranges, planes: int) -> list[RankMemory]:
 
 def of_fullest(scene: Scene, ranges: Ranges, plan: BatchPlan) -> RankMemory:
     """Return the memory of the rank that needs most."""
-    return max(of_ranks(scene, ranges, touched_planes(scene, plan)), key=lambda rank: rank.total)
+    fullest = max(of_ranks(scene, ranges, touched_planes(scene, plan)), key=lambda rank: rank.total)
+    if not scene.output.tracers:
+        return fullest
+    points = scene.output.tracers * sum(plan.batches[b].count for b in plan.order)
+    share = fullest.cells / math.prod(scene.domain.cells)
+    each = TRACER + (SENT if share < 1.0 else 0)
+    return replace(fullest, arrays=fullest.arrays + round(each * points * share))
