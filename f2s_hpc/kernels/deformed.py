@@ -8,16 +8,16 @@ agree on it; a rotation of the displaced mesh sweeps nothing.
 
 from __future__ import annotations
 
-from f2s_hpc._jit import borrowed, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.scratch import W
 
 LEAST_VOLUME = 0.2
 """Cells squeezed below this share of their volume keep the gradients of the undisplaced mesh: hardly filled ones."""
 
 
-@kernel
-def gradient(p00, p10, p01, p11, scale, row, s):
-    """Mean gradient of a node field over a chunk of cells into scratch rows ``row`` to ``row + 2``.
+@inlined
+def gradient(p00, p10, p01, p11, scale, out):
+    """Mean gradient of a node field over a chunk of cells into the first three scratch rows of ``out``.
 
     ``p``: the field on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1), each one longer than the chunk; ``scale``:
     0.25 over the width of a cell.
@@ -25,58 +25,64 @@ def gradient(p00, p10, p01, p11, scale, row, s):
     for i in range(p00.size - 1):
         a0, a1, b0, b1 = p00[i], p00[i + 1], p10[i], p10[i + 1]
         c0, c1, d0, d1 = p01[i], p01[i + 1], p11[i], p11[i + 1]
-        s[row * W + i] = scale * ((a1 - a0) + (b1 - b0) + (c1 - c0) + (d1 - d0))
-        s[(row + 1) * W + i] = scale * ((b0 - a0) + (b1 - a1) + (d0 - c0) + (d1 - c1))
-        s[(row + 2) * W + i] = scale * ((c0 - a0) + (c1 - a1) + (d0 - b0) + (d1 - b1))
+        out[i] = scale * ((a1 - a0) + (b1 - b0) + (c1 - c0) + (d1 - d0))
+        out[W + i] = scale * ((b0 - a0) + (b1 - a1) + (d0 - c0) + (d1 - c1))
+        out[2 * W + i] = scale * ((c0 - a0) + (c1 - a1) + (d0 - b0) + (d1 - b1))
 
 
-@kernel
+@inlined
 def volume_ratios(gx0, gx1, gy0, gy1, gz0, gz1, out):
     """Volume ratio J of a row of cells; ``g``: swept volumes of their low and high faces."""
     for i in range(out.size):
         out[i] = 1.0 + ((gx1[i] - gx0[i]) + (gy1[i] - gy0[i]) + (gz1[i] - gz0[i]))
 
 
-@kernel
-def cofactors(n, row, s):
+@inlined
+def _cofactors_of(xx, xy, xz, yx, yy, yz, zx, zy, zz):
+    """Return the nine cofactors of a matrix, row by row."""
+    return (yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx, xz * zy - xy * zz, xx * zz - xz * zx,
+            xy * zx - xx * zy, xy * yz - xz * yy, xz * yx - xx * yz, xx * yy - xy * yx)
+
+
+@inlined
+def cofactors(n, d):
     """Replace dd/dX in nine scratch rows by the cofactors of F = 1 + dd/dX, for ``n`` cells."""
     for i in range(n):
-        xx, xy, xz = 1.0 + s[row * W + i], s[(row + 1) * W + i], s[(row + 2) * W + i]
-        yx, yy, yz = s[(row + 3) * W + i], 1.0 + s[(row + 4) * W + i], s[(row + 5) * W + i]
-        zx, zy, zz = s[(row + 6) * W + i], s[(row + 7) * W + i], 1.0 + s[(row + 8) * W + i]
-        s[row * W + i], s[(row + 1) * W + i], s[(row + 2) * W + i] = yy * zz - yz * zy, yz * zx - yx * zz, \
-            yx * zy - yy * zx
-        s[(row + 3) * W + i], s[(row + 4) * W + i], s[(row + 5) * W + i] = xz * zy - xy * zz, xx * zz - xz * zx, \
-            xy * zx - xx * zy
-        s[(row + 6) * W + i], s[(row + 7) * W + i], s[(row + 8) * W + i] = xy * yz - xz * yy, xz * yx - xx * yz, \
-            xx * yy - xy * yx
+        (d[i], d[W + i], d[2 * W + i], d[3 * W + i], d[4 * W + i], d[5 * W + i], d[6 * W + i], d[7 * W + i],
+         d[8 * W + i]) = _cofactors_of(
+            1.0 + d[i], d[W + i], d[2 * W + i], d[3 * W + i], 1.0 + d[4 * W + i], d[5 * W + i],
+            d[6 * W + i], d[7 * W + i], 1.0 + d[8 * W + i])
 
 
-@kernel
-def to_deformed(n, row, at, volume, s):
-    """Turn dv/dX in nine scratch rows from ``row`` on into L = (dv/dX) F^-1, with dd/dX in the nine from ``at`` on.
+@inlined
+def to_deformed(n, g, d, volume):
+    """Turn dv/dX in nine scratch rows ``g`` into L = (dv/dX) F^-1, with dd/dX in the nine of ``d``.
 
-    F^-1 is the transpose of the cofactors over the volume ratio in scratch row ``volume``: with the volume that the
+    F^-1 is the transpose of the cofactors over the volume ratio in ``volume``: with the volume that the
     faces have swept, not det F of the mean gradient, stress times L times volume is what the forces do on the nodes.
     """
     for i in range(n):
-        fxx, fxy, fxz = 1.0 + s[at * W + i], s[(at + 1) * W + i], s[(at + 2) * W + i]
-        fyx, fyy, fyz = s[(at + 3) * W + i], 1.0 + s[(at + 4) * W + i], s[(at + 5) * W + i]
-        fzx, fzy, fzz = s[(at + 6) * W + i], s[(at + 7) * W + i], 1.0 + s[(at + 8) * W + i]
-        cxx, cxy, cxz = fyy * fzz - fyz * fzy, fyz * fzx - fyx * fzz, fyx * fzy - fyy * fzx
-        cyx, cyy, cyz = fxz * fzy - fxy * fzz, fxx * fzz - fxz * fzx, fxy * fzx - fxx * fzy
-        czx, czy, czz = fxy * fyz - fxz * fyy, fxz * fyx - fxx * fyz, fxx * fyy - fxy * fyx
-        ratio = s[volume * W + i]
+        xx, xy, xz, yx, yy, yz, zx, zy, zz = _cofactors_of(
+            1.0 + d[i], d[W + i], d[2 * W + i], d[3 * W + i], 1.0 + d[4 * W + i], d[5 * W + i],
+            d[6 * W + i], d[7 * W + i], 1.0 + d[8 * W + i])
+        ratio = volume[i]
         sound = ratio > LEAST_VOLUME
         share = 1.0 / ratio if sound else 1.0
-        for a in range(3):
-            x, y, z = s[(row + 3 * a) * W + i], s[(row + 3 * a + 1) * W + i], s[(row + 3 * a + 2) * W + i]
-            s[(row + 3 * a) * W + i] = share * (x * cxx + y * cxy + z * cxz) if sound else x
-            s[(row + 3 * a + 1) * W + i] = share * (x * cyx + y * cyy + z * cyz) if sound else y
-            s[(row + 3 * a + 2) * W + i] = share * (x * czx + y * czy + z * czz) if sound else z
+        a, b, c = g[i], g[W + i], g[2 * W + i]
+        g[i] = share * (a * xx + b * xy + c * xz) if sound else a
+        g[W + i] = share * (a * yx + b * yy + c * yz) if sound else b
+        g[2 * W + i] = share * (a * zx + b * zy + c * zz) if sound else c
+        a, b, c = g[3 * W + i], g[4 * W + i], g[5 * W + i]
+        g[3 * W + i] = share * (a * xx + b * xy + c * xz) if sound else a
+        g[4 * W + i] = share * (a * yx + b * yy + c * yz) if sound else b
+        g[5 * W + i] = share * (a * zx + b * zy + c * zz) if sound else c
+        a, b, c = g[6 * W + i], g[7 * W + i], g[8 * W + i]
+        g[6 * W + i] = share * (a * xx + b * xy + c * xz) if sound else a
+        g[7 * W + i] = share * (a * yx + b * yy + c * yz) if sound else b
+        g[8 * W + i] = share * (a * zx + b * zy + c * zz) if sound else c
 
 
-@kernel
+@inlined
 def _swept_row(u0, u1, u2, u3, v0, v1, v2, v3, w0, w1, w2, w3, x0, x1, x2, x3, y0, y1, y2, y3, z0, z1, z2, z3,
                first, second, keep, half, scale, out):
     """Add the volume that a row of displaced faces sweeps: mean velocity of the four nodes times the area vector.
@@ -139,7 +145,7 @@ def sweep_faces(runs, count, window, shape, displaced, dt_over_dx, u, v, w, x, y
                        first, second, keep, 0.5 * dt_over_dx, scale, g[a:a + n])
 
 
-@kernel
+@inlined
 def _move_row(first, dt_over_dx, velocity, place):
     """Add a step's way to the displacement of a row; ``first``: the row was not displaced before."""
     for i in range(place.size):

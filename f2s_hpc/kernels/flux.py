@@ -35,7 +35,7 @@ def axes_left(done):
     return 1.0 - (done & 1), 1.0 - ((done >> 1) & 1), 1.0 - ((done >> 2) & 1)
 
 
-@kernel
+@inlined
 def _full_fluxes(swept, low_fraction, high_fraction, low_mass, high_mass, flux):
     """Fluxes of a row of faces whose donor is full: the swept volume. Behind an open side there is no mass."""
     for i in range(swept.size):
@@ -108,7 +108,7 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
                 flux[n + step] = volume * leaves
 
 
-@kernel
+@inlined
 def _density_row(left, gx0, gx1, gy0, gy1, gz0, gz1, mass, fraction, density):
     """Density (in reference densities) of the material of a row of cells, 0 where there is none."""
     ax, ay, az = left
@@ -137,7 +137,7 @@ def material_densities(runs, count, window, shape, done, gx, gy, gz, mass, fract
                      gz[a + plane1:a + plane1 + n], mass[c:c + n], fraction[c:c + n], density[a:a + n])
 
 
-@kernel
+@inlined
 def _mass_flux_row(second, flux, m1, m2, f0, f1, f2, f3, d0, d1, d2, d3, mass_flux):
     """Mass fluxes of a row of faces; masses, fractions and densities of the two cells below and the two above each."""
     for i in range(flux.size):

@@ -10,20 +10,20 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import borrowed, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.deformed import LEAST_VOLUME, cofactors, gradient, volume_ratios
-from f2s_hpc.kernels.scratch import W
+from f2s_hpc.kernels.scratch import W, place_of_largest
 from f2s_hpc.kernels.skin import surface_pressure
 from f2s_hpc.materials.pressure import pressure, stiffness
 
-RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, LEFT, RIGHT, VOLUME, COFACTOR, GRADIENT, ROWS = (
-    0, 1, 2, 3, 4, 5, 6, 15, 19, 23, 24, 33, 42)
+RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, CORNERS, VOLUME, COFACTOR, GRADIENT, ROWS = (
+    0, 1, 2, 3, 4, 5, 6, 15, 23, 24, 33, 42)
 """Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous pressure,
 hourglass power, wave speed, nine weighted stresses (x, y, z force on the x, y, z faces), forces on four left and four
 right corners, volume ratio; of a displaced mesh nine cofactors and nine of the velocity gradient."""
 
 
-@kernel
+@inlined
 def _divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, s):
     """Velocity divergence (1/s) of a chunk of cells into scratch row RATE: ``scale`` = 1 / (4 dx).
 
@@ -41,7 +41,7 @@ def _divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, s):
         s[RATE * W + i] *= scale
 
 
-@kernel
+@inlined
 def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourglass, s):
     """Pressure plus shock viscosity, hourglass coefficient, viscous pressure and wave speed of a chunk of cells."""
     linear, quadratic = viscosity
@@ -68,7 +68,7 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
         s[SPEED * W + i] = fastest if x > 0.0 else 0.0
 
 
-@kernel
+@inlined
 def _weigh(fraction, xx, yy, zz, xy, yz, xz, area, s):
     """Total stress times volume fraction times a quarter of the face, into nine scratch rows, the shear ones twice."""
     for i in range(fraction.size):
@@ -82,7 +82,13 @@ def _weigh(fraction, xx, yy, zz, xy, yz, xz, area, s):
         s[(STRESS + 2) * W + i] = s[(STRESS + 6) * W + i] = a * xz[i]
 
 
-@kernel
+@inlined
+def _on_face(sxx, syy, szz, sxy, syz, sxz, x, y, z):
+    """Return the force of a stress on a face with area vector (x, y, z)."""
+    return sxx * x + sxy * y + sxz * z, sxy * x + syy * y + syz * z, sxz * x + syz * y + szz * z
+
+
+@inlined
 def _weigh_displaced(fraction, xx, yy, zz, xy, yz, xz, area, s):
     """As :func:`_weigh` on displaced faces: the total stress times their area vectors, sigma cof(F)."""
     for i in range(fraction.size):
@@ -90,30 +96,33 @@ def _weigh_displaced(fraction, xx, yy, zz, xy, yz, xz, area, s):
         p = s[TOTAL * W + i]
         sxx, syy, szz = a * (xx[i] - p), a * (yy[i] - p), a * (zz[i] - p)
         sxy, syz, sxz = a * xy[i], a * yz[i], a * xz[i]
-        for face in range(3):
-            x, y, z = (s[(COFACTOR + face) * W + i], s[(COFACTOR + 3 + face) * W + i],
-                       s[(COFACTOR + 6 + face) * W + i])
-            s[(STRESS + face) * W + i] = sxx * x + sxy * y + sxz * z
-            s[(STRESS + 3 + face) * W + i] = sxy * x + syy * y + syz * z
-            s[(STRESS + 6 + face) * W + i] = sxz * x + syz * y + szz * z
+        s[STRESS * W + i], s[(STRESS + 3) * W + i], s[(STRESS + 6) * W + i] = _on_face(
+            sxx, syy, szz, sxy, syz, sxz, s[COFACTOR * W + i], s[(COFACTOR + 3) * W + i], s[(COFACTOR + 6) * W + i])
+        s[(STRESS + 1) * W + i], s[(STRESS + 4) * W + i], s[(STRESS + 7) * W + i] = _on_face(
+            sxx, syy, szz, sxy, syz, sxz, s[(COFACTOR + 1) * W + i], s[(COFACTOR + 4) * W + i],
+            s[(COFACTOR + 7) * W + i])
+        s[(STRESS + 2) * W + i], s[(STRESS + 5) * W + i], s[(STRESS + 8) * W + i] = _on_face(
+            sxx, syy, szz, sxy, syz, sxz, s[(COFACTOR + 2) * W + i], s[(COFACTOR + 5) * W + i],
+            s[(COFACTOR + 8) * W + i])
 
 
-@kernel
-def _rate_displaced(n, s):
-    """Velocity divergence (1/s) of ``n`` displaced cells: cof(F) : dv/dX over the volume ratio."""
+@inlined
+def _rate_displaced(n, c, g, volume, rate):
+    """Velocity divergence (1/s) of ``n`` displaced cells: cof(F) : dv/dX (nine scratch rows each) over volume ratio."""
     for i in range(n):
-        rate = 0.0
-        for a in range(9):
-            rate += s[(COFACTOR + a) * W + i] * s[(GRADIENT + a) * W + i]
-        s[RATE * W + i] = rate / max(s[VOLUME * W + i], LEAST_VOLUME)
+        power = (c[i] * g[i] + c[W + i] * g[W + i] + c[2 * W + i] * g[2 * W + i]) + (
+            c[3 * W + i] * g[3 * W + i] + c[4 * W + i] * g[4 * W + i] + c[5 * W + i] * g[5 * W + i]) + (
+            c[6 * W + i] * g[6 * W + i] + c[7 * W + i] * g[7 * W + i] + c[8 * W + i] * g[8 * W + i])
+        rate[i] = power / max(volume[i], LEAST_VOLUME)
 
 
-@kernel
-def _corner_forces(p00, p10, p01, p11, sx, sy, sz, s):
-    """Forces of a chunk of cells on their eight corners in one component, into eight scratch rows.
+@inlined
+def _corner_forces(p00, p10, p01, p11, coefficient, stress, power, corners):
+    """Forces of a chunk of cells on their eight corners in one component, into the scratch rows ``corners``.
 
-    ``p``: that component of velocity on the node rows (j, k), (j+1, k), (j, k+1), (j+1, k+1); ``sx``, ``sy``, ``sz``:
-    scratch offsets of the weighted stress on the x, y, z faces. Adds the hourglass dissipation (W) to row POWER.
+    First the four left ones, then the four right ones. ``p``: that component of velocity on the node rows (j, k),
+    (j+1, k), (j, k+1), (j+1, k+1); ``stress``: three scratch rows, the weighted stress on the x, y, z faces.
+    Adds the hourglass dissipation (W) to row ``power``.
     """
     for i in range(p00.size - 1):
         s00, d00 = p00[i] + p00[i + 1], p00[i + 1] - p00[i]
@@ -124,31 +133,31 @@ def _corner_forces(p00, p10, p01, p11, sx, sy, sz, s):
         h2 = (d01 - d00) + (d11 - d10)
         h3 = (d10 - d00) + (d11 - d01)
         h4 = (d00 - d10) + (d11 - d01)
-        k = s[COEFFICIENT * W + i]
-        s[POWER * W + i] += k * (h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4)
+        k = coefficient[i]
+        power[i] += k * (h1 * h1 + h2 * h2 + h3 * h3 + h4 * h4)
         h1, h2, h3, h4 = k * h1, k * h2, k * h3, k * h4
-        x, y, z = s[sx + i], s[sy + i], s[sz + i]
-        s[LEFT * W + i] = (x + y + z) - (h1 + h2 + h3 - h4)
-        s[(LEFT + 1) * W + i] = (x - y + z) - (h2 - h1 - h3 + h4)
-        s[(LEFT + 2) * W + i] = (x + y - z) - (h3 - h1 - h2 + h4)
-        s[(LEFT + 3) * W + i] = (x - y - z) - (h1 - h2 - h3 - h4)
-        s[RIGHT * W + i] = (y + z - x) - (h1 - h2 - h3 + h4)
-        s[(RIGHT + 1) * W + i] = (z - x - y) - (h3 - h1 - h2 - h4)
-        s[(RIGHT + 2) * W + i] = (y - x - z) - (h2 - h1 - h3 - h4)
-        s[(RIGHT + 3) * W + i] = -(x + y + z) - (h1 + h2 + h3 + h4)
+        x, y, z = stress[i], stress[W + i], stress[2 * W + i]
+        corners[i] = (x + y + z) - (h1 + h2 + h3 - h4)
+        corners[W + i] = (x - y + z) - (h2 - h1 - h3 + h4)
+        corners[2 * W + i] = (x + y - z) - (h3 - h1 - h2 + h4)
+        corners[3 * W + i] = (x - y - z) - (h1 - h2 - h3 - h4)
+        corners[4 * W + i] = (y + z - x) - (h1 - h2 - h3 + h4)
+        corners[5 * W + i] = (z - x - y) - (h3 - h1 - h2 - h4)
+        corners[6 * W + i] = (y - x - z) - (h2 - h1 - h3 - h4)
+        corners[7 * W + i] = -(x + y + z) - (h1 + h2 + h3 + h4)
 
 
-@kernel
-def _add_corners(f, left, right, s):
+@inlined
+def _add_corners(f, left, right):
     """Add the corner forces of a chunk to one node row, right corners first.
 
     With this order every node of a row takes its two cells' shares in the same sequence wherever the row is cut.
     """
     n = f.size - 1
-    for i in range(n):
-        f[i + 1] += s[right + i]
-    for i in range(n):
-        f[i] += s[left + i]
+    f[n] += right[n - 1]
+    for i in range(n - 1):
+        f[i + 1] = (f[i + 1] + right[i]) + left[i + 1]
+    f[0] += left[0]
 
 
 @kernel
@@ -181,6 +190,7 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
     ny, nx = shape
     scratch, nothing = np.empty(ROWS * W), np.zeros(W)
     s, mass, fraction, energy = borrowed(scratch), borrowed(mass), borrowed(fraction), borrowed(energy)
+    corners, cof, g = s[CORNERS * W:], s[COFACTOR * W:], s[GRADIENT * W:]
     u, v, w, fx, fy, fz = borrowed(u), borrowed(v), borrowed(w), borrowed(fx), borrowed(fy), borrowed(fz)
     stress = (borrowed(stress[0]), borrowed(stress[1]), borrowed(stress[2]), borrowed(stress[3]), borrowed(stress[4]),
               borrowed(stress[5]))
@@ -200,46 +210,48 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
             a = k * plane1 + j * row1 + first
             b, c, d, m = a + row1, a + plane1, a + plane1 + row1, n + 1
             if displaced:
-                gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, GRADIENT, s)
-                gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, GRADIENT + 3, s)
-                gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, GRADIENT + 6, s)
-                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, COFACTOR, s)
-                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, COFACTOR + 3, s)
-                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, COFACTOR + 6, s)
-                cofactors(n, COFACTOR, s)
+                gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, g)
+                gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, g[3 * W:])
+                gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, g[6 * W:])
+                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, cof)
+                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, cof[3 * W:])
+                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, cof[6 * W:])
+                cofactors(n, cof)
                 volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[b:b + n], gz[a:a + n], gz[c:c + n],
                               s[VOLUME * W:VOLUME * W + n])
-                _rate_displaced(n, s)
+                _rate_displaced(n, cof, g, s[VOLUME * W:], s[RATE * W:])
             else:
                 _divergence(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], v[a:a + m], v[b:b + m], v[c:c + m],
                             v[d:d + m], w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, s)
                 s[VOLUME * W:VOLUME * W + n] = 1.0
-            f = fraction[cell:cell + n]
-            e = energy[cell:cell + n] if energy.size > 1 else nothing[:n]
-            _pressure(mass[cell:cell + n], f, e, dx, last_dt, bulk, eos, viscosity, hourglass, s)
-            surface_pressure(mass, f, stress, cell, shape, TOTAL, SHOCK, s)
+            f, end = fraction[cell:cell + n], cell + n
+            e = energy[cell:end] if energy.size > 1 else nothing[:n]
+            xx, yy, zz = stress[0][cell:end], stress[1][cell:end], stress[2][cell:end]
+            xy, yz, xz = stress[3][cell:end], stress[4][cell:end], stress[5][cell:end]
+            _pressure(mass[cell:end], f, e, dx, last_dt, bulk, eos, viscosity, hourglass, s)
+            surface_pressure(mass, f, xx, yy, zz, xy, yz, xz, cell, shape, s[TOTAL * W:], s[SHOCK * W:], corners)
             if displaced:
-                _weigh_displaced(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
-                                 stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
+                _weigh_displaced(f, xx, yy, zz, xy, yz, xz, area, s)
             else:
-                _weigh(f, stress[0][cell:cell + n], stress[1][cell:cell + n], stress[2][cell:cell + n],
-                       stress[3][cell:cell + n], stress[4][cell:cell + n], stress[5][cell:cell + n], area, s)
+                _weigh(f, xx, yy, zz, xy, yz, xz, area, s)
             for axis in range(3):
-                p, g = (u, fx) if axis == 0 else ((v, fy) if axis == 1 else (w, fz))
+                p, q = (u, fx) if axis == 0 else ((v, fy) if axis == 1 else (w, fz))
                 row = STRESS + 3 * axis
-                _corner_forces(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], row * W, (row + 1) * W, (row + 2) * W, s)
-                _add_corners(g[a:a + m], LEFT * W, RIGHT * W, s)
-                _add_corners(g[b:b + m], (LEFT + 1) * W, (RIGHT + 1) * W, s)
-                _add_corners(g[c:c + m], (LEFT + 2) * W, (RIGHT + 2) * W, s)
-                _add_corners(g[d:d + m], (LEFT + 3) * W, (RIGHT + 3) * W, s)
-            for i in range(n):
-                shock[a + i] = s[SHOCK * W + i]
-                hourglass_power[a + i] = s[POWER * W + i]
-                closing[a + i] = s[RATE * W + i]
-            if counts:
-                for i in range(max(owned[4] - first, 0), min(owned[5] - first, n)):
+                _corner_forces(p[a:a + m], p[b:b + m], p[c:c + m], p[d:d + m], s[COEFFICIENT * W:], s[row * W:],
+                               s[POWER * W:], corners)
+                _add_corners(q[a:a + m], corners, corners[4 * W:])
+                _add_corners(q[b:b + m], corners[W:], corners[5 * W:])
+                _add_corners(q[c:c + m], corners[2 * W:], corners[6 * W:])
+                _add_corners(q[d:d + m], corners[3 * W:], corners[7 * W:])
+            shock[a:a + n] = s[SHOCK * W:SHOCK * W + n]
+            hourglass_power[a:a + n] = s[POWER * W:POWER * W + n]
+            closing[a:a + n] = s[RATE * W:RATE * W + n]
+            low, high = max(owned[4] - first, 0), min(owned[5] - first, n)
+            if counts and high > low:
+                for i in range(low, high):
                     sums[0] += np.int64(s[POWER * W + i] * per_quantum)
-                    if not s[SPEED * W + i] <= fastest:
-                        fastest, where = s[SPEED * W + i], cell + i
+                at = place_of_largest(s[SPEED * W + low:SPEED * W + high], fastest)
+                if at >= 0:
+                    fastest, where = s[SPEED * W + low + at], cell + low + at
     scratch[0] = 0.0  # alive to here
     return fastest, where

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc._jit import borrowed, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 
 SMALLEST_VELOCITY = 1e-20
 """Velocities below this (m/s) are rest."""
@@ -59,7 +59,7 @@ def kinetic_energy(runs, count, window, shape, weights, nodal, u, v, w, quantum,
     return total
 
 
-@kernel
+@inlined
 def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
                     quantum, sums):
     """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say."""
@@ -122,7 +122,7 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
                         fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], per_quantum, sums)
 
 
-@kernel
+@inlined
 def _fastest_of_row(u, v, w):
     """Return the largest squared speed of a row (0 for an empty one; NaN does not count)."""
     most = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from f2s_hpc._jit import inlined, kernel
-from f2s_hpc.kernels.scratch import W
+from f2s_hpc.kernels.scratch import W, of_rank, rank
 from f2s_hpc.materials.flow_stress import (
     LOWEST,
     MAX_ITERATIONS,
@@ -47,32 +47,20 @@ def _filled(count):
     return (count + LANES - 1) // LANES * LANES
 
 
-@inlined
-def _rank(x):
-    """Return an integer that orders numbers >= 0 as they are (NaN last): the largest of many is found in vectors."""
-    return np.float64(x).view(np.int64)
-
-
-@inlined
-def _of_rank(rank):
-    """Return the number of a rank."""
-    return np.int64(rank).view(np.float64)
-
-
 @kernel
 def _may_yield(flow, mass, peeq, temperature, s):
     """Return whether any trial stress of a chunk exceeds what its softest and its hottest cell bear together.
 
     Flow stress rises with PEEQ and falls with temperature, so no cell yields below that.
     """
-    largest, softest, hottest = np.int64(0), _rank(1e9), _rank(1.0)
+    largest, softest, hottest = np.int64(0), rank(1e9), rank(1.0)
     for i in range(mass.size):
         solid = mass[i] > 0.0
-        largest = max(largest, _rank(s[MISES * W + i] if solid else 0.0))
-        softest = min(softest, _rank(peeq[i] if solid else 1e9))
-        hottest = max(hottest, _rank(temperature[i] if solid else 1.0))
-    bound = static_flow_stress(flow, _of_rank(softest), _of_rank(hottest))
-    return not _of_rank(largest) <= (1.0 - 1e-9) * bound
+        largest = max(largest, rank(s[MISES * W + i] if solid else 0.0))
+        softest = min(softest, rank(peeq[i] if solid else 1e9))
+        hottest = max(hottest, rank(temperature[i] if solid else 1.0))
+    bound = static_flow_stress(flow, of_rank(softest), of_rank(hottest))
+    return not of_rank(largest) <= (1.0 - 1e-9) * bound
 
 
 @kernel
@@ -195,7 +183,7 @@ def return_chunk(flow, mass, peeq, temperature, dt, shear_modulus, place, s):
         count = _settle(count, step == MAX_ITERATIONS, peeq, place, s)
 
 
-@kernel
+@inlined
 def heat_chunk(mass, temperature, bulk, heating, dt_over_volume, hourglass, q00, q10, q01, q11, s):
     """Heat per cell volume (J/m3) of a chunk, and the temperature it gives.
 

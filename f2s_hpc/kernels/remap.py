@@ -22,7 +22,7 @@ LEAST_SLOPED = 1e-6
 """Cells and nodes lighter than this (in full ones) are void to the slopes of their neighbours."""
 
 
-@kernel
+@inlined
 def _mean_of_corners(a, b, c, d, out):
     """Mean of eight values around each point of a row; ``a``..``d``: the four rows around it, each one longer."""
     for i in range(out.size):
@@ -48,7 +48,7 @@ def nodal_masses(runs, count, window, shape, mass, nodal):
                          nodal[row:row + n])
 
 
-@kernel
+@inlined
 def _mean_of_faces(a0, a1, a2, a3, b0, b1, b2, b3, out):
     """Mean of eight rows."""
     for i in range(out.size):
@@ -86,7 +86,7 @@ def _ordered(along, a, b, c, d, e, f):
     return a if along else f, b if along else e, c if along else d, d if along else c, e if along else b
 
 
-@kernel
+@inlined
 def _face_weights(smooth, second, moved, m0, m1, m2, m3, m4, m5, w_behind, w_ahead, w_far_behind, w_far_ahead):
     """Weights of the four differences around the donor at each face of a row.
 
@@ -110,7 +110,7 @@ def _face_weights(smooth, second, moved, m0, m1, m2, m3, m4, m5, w_behind, w_ahe
         w_far_ahead[i] = wide * (n * (1.0 / 24.0 + n * (1.0 / 24.0 - n * (1.0 / 24.0 - n / 120.0))) - 0.05)
 
 
-@kernel
+@inlined
 def _limited_values(moved, w_behind, w_ahead, q1, q2, q3, q4, value):
     """Value that each face of a row carries, at third order, limited.
 
@@ -127,7 +127,7 @@ def _limited_values(moved, w_behind, w_ahead, q1, q2, q3, q4, value):
         value[i] = donor + (step if behind * ahead > 0.0 else 0.0)
 
 
-@kernel
+@inlined
 def _smooth_values(moved, w_behind, w_ahead, w_far_behind, w_far_ahead, q0, q1, q2, q3, q4, q5, value):
     """Velocity that each face of a row carries, at fifth order, not limited.
 
@@ -141,7 +141,7 @@ def _smooth_values(moved, w_behind, w_ahead, w_far_behind, w_far_ahead, q0, q1, 
                             + (w_far_behind[i] * (up - up2) + w_far_ahead[i] * (down2 - down)))
 
 
-@kernel
+@inlined
 def _blend_row(field, low_moved, high_moved, low_value, high_value, inverse):
     """Update a row of a field in place, in differences."""
     for i in range(field.size):
@@ -149,7 +149,7 @@ def _blend_row(field, low_moved, high_moved, low_value, high_value, inverse):
         field[i] = old + (low_moved[i] * (low_value[i] - old) - high_moved[i] * (high_value[i] - old)) * inverse[i]
 
 
-@kernel
+@inlined
 def _blend_velocity(field, mass, low_moved, high_moved, low_value, high_value, inverse, lost):
     """Update a row of a velocity component in place, and add to ``lost`` the kinetic energy that the mixing took.
 
@@ -168,7 +168,7 @@ def _blend_velocity(field, mass, low_moved, high_moved, low_value, high_value, i
         lost[i] += mass[i] * kept * kept + (low_moved[i] * low * low - high_moved[i] * high * high)
 
 
-@kernel
+@inlined
 def _inverse_masses(masses, low_moved, high_moved, inverse):
     """One over the mass after the sweep, 0 where that is round-off."""
     for i in range(masses.size):
@@ -290,7 +290,7 @@ def sweep_across_rows(columns, count, window, strides, moved_strides, second, me
     scratch[0] = 0.0  # alive to here
 
 
-@kernel
+@inlined
 def _move_mass(left_x, left_y, left_z, gx0, gx1, gy0, gy1, gz0, gz1, volume_in, volume_out, mass_in, mass_out, mass,
                fraction):
     """Update a row of :func:`sweep_mass`; ``left``: per axis, its weight before and after the sweep."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from f2s_hpc._jit import kernel
+from f2s_hpc._jit import inlined, kernel
 from f2s_hpc.kernels.scratch import W
 
 STEEP = 0.25
@@ -41,38 +41,96 @@ def surface_normal(mass, n, row, plane):
     return gx * scale, gy * scale, gz * scale, min(size / STEEP, 1.0)
 
 
-@kernel
-def surface_pressure(mass, fraction, stress, cell, shape, row_of_pressure, row_of_shock, s):
+@inlined
+def _differences(row, i):
+    """Return difference and weighted sum of min(m, 1) over three neighbours of a row, the middle one at i + 1."""
+    low, high = min(row[i], 1.0), min(row[i + 2], 1.0)
+    middle = min(row[i + 1], 1.0)
+    return high - low, (low + high) + (middle + middle)
+
+
+@inlined
+def _normals(r00, r01, r02, r10, r11, r12, r20, r21, r22, out):
+    """As :func:`surface_normal` for a chunk of cells, into four scratch rows: x, y, z, how clearly it is one.
+
+    ``r``: nine rows of masses, plane by plane (z, then y), each from one cell before the chunk to one behind it.
+    """
+    for i in range(r00.size - 2):
+        d00, s00 = _differences(r00, i)
+        d01, s01 = _differences(r01, i)
+        d02, s02 = _differences(r02, i)
+        d10, s10 = _differences(r10, i)
+        d11, _ = _differences(r11, i)
+        d12, s12 = _differences(r12, i)
+        d20, s20 = _differences(r20, i)
+        d21, s21 = _differences(r21, i)
+        d22, s22 = _differences(r22, i)
+        gx = ((d00 + d02) + (d20 + d22) + 2.0 * ((d01 + d21) + (d10 + d12)) + 4.0 * d11) / 32.0
+        gy = ((s02 - s00) + (s22 - s20) + 2.0 * (s12 - s10)) / 32.0
+        gz = ((s20 - s00) + (s22 - s02) + 2.0 * (s21 - s01)) / 32.0
+        size = math.sqrt((gx * gx + gy * gy) + gz * gz)
+        scale = 1.0 / max(size, 1e-300)
+        out[i], out[W + i], out[2 * W + i], out[3 * W + i] = gx * scale, gy * scale, gz * scale, min(size / STEEP, 1.0)
+
+
+@inlined
+def _any_mixed(fraction):
+    """Return whether a chunk has cells with both material and void."""
+    mixed = 0
+    for i in range(fraction.size):
+        mixed += 1 if (fraction[i] < 1.0) & (fraction[i] > 0.0) else 0
+    return mixed > 0
+
+
+@inlined
+def _chunk_normals(mass, cell, n, row, plane, out):
+    """Normals of the ``n`` cells from ``cell`` on, into four scratch rows of ``out``."""
+    a, m = cell - plane - row - 1, n + 2
+    b, c = a + plane, a + 2 * plane
+    _normals(mass[a:a + m], mass[a + row:a + row + m], mass[a + 2 * row:a + 2 * row + m],
+             mass[b:b + m], mass[b + row:b + row + m], mass[b + 2 * row:b + 2 * row + m],
+             mass[c:c + m], mass[c + row:c + row + m], mass[c + 2 * row:c + 2 * row + m], out)
+
+
+@inlined
+def surface_pressure(mass, fraction, xx, yy, zz, xy, yz, xz, cell, shape, total, shock, normals):
     """Put the pressure of zero normal traction (Pa), plus the viscous one, into the mixed cells of a scratch row.
 
-    ``mass``: whole flat array, ``fraction``: of the chunk that starts at ``cell``; ``shape``: (ny, nx) of a cell array;
-    ``row_of_pressure``, ``row_of_shock``: scratch rows.
+    ``mass``: whole flat array, ``fraction`` and stress: of the chunk that starts at ``cell``; ``shape``: (ny, nx) of a
+    cell array; ``total``, ``shock``: scratch rows; ``normals``: four free ones.
     """
-    row, plane = shape[1], shape[0] * shape[1]
+    if not _any_mixed(fraction):
+        return
+    _chunk_normals(mass, cell, fraction.size, shape[1], shape[0] * shape[1], normals)
     for i in range(fraction.size):
-        if fraction[i] < 1.0 and fraction[i] > 0.0:
-            n = cell + i
-            nx, ny, nz, clear = surface_normal(mass, n, row, plane)
-            normal = (nx * nx * stress[0][n] + ny * ny * stress[1][n]) + nz * nz * stress[2][n]
-            shear = (nx * ny * stress[3][n] + ny * nz * stress[4][n]) + nx * nz * stress[5][n]
-            s[row_of_pressure * W + i] = clear * (normal + 2.0 * shear) + s[row_of_shock * W + i]
+        nx, ny, nz, clear = normals[i], normals[W + i], normals[2 * W + i], normals[3 * W + i]
+        normal = (nx * nx * xx[i] + ny * ny * yy[i]) + nz * nz * zz[i]
+        shear = (nx * ny * xy[i] + ny * nz * yz[i]) + nx * nz * xz[i]
+        mixed = (fraction[i] < 1.0) & (fraction[i] > 0.0)
+        total[i] = clear * (normal + 2.0 * shear) + shock[i] if mixed else total[i]
 
 
-@kernel
-def surface_strain(mass, fraction, cell, shape, s):
-    """Take the opening of void out of the velocity gradient (rows 0 to 8) of the mixed cells of a chunk."""
-    row, plane = shape[1], shape[0] * shape[1]
+@inlined
+def surface_strain(mass, fraction, cell, shape, g, normals):
+    """Take the opening of void out of the velocity gradient (nine scratch rows) of the mixed cells of a chunk.
+
+    ``normals``: four free scratch rows.
+    """
+    if not _any_mixed(fraction):
+        return
+    _chunk_normals(mass, cell, fraction.size, shape[1], shape[0] * shape[1], normals)
     for i in range(fraction.size):
-        if fraction[i] < 1.0 and fraction[i] > 0.0:
-            nx, ny, nz, clear = surface_normal(mass, cell + i, row, plane)
-            trace = s[i] + s[4 * W + i] + s[8 * W + i]
-            along, even = clear * trace, (1.0 - clear) * trace / 3.0
-            s[i] -= along * nx * nx + even
-            s[W + i] -= along * nx * ny
-            s[2 * W + i] -= along * nx * nz
-            s[3 * W + i] -= along * nx * ny
-            s[4 * W + i] -= along * ny * ny + even
-            s[5 * W + i] -= along * ny * nz
-            s[6 * W + i] -= along * nx * nz
-            s[7 * W + i] -= along * ny * nz
-            s[8 * W + i] -= along * nz * nz + even
+        nx, ny, nz, clear = normals[i], normals[W + i], normals[2 * W + i], normals[3 * W + i]
+        trace = g[i] + g[4 * W + i] + g[8 * W + i]
+        # (nothing is taken from full cells and from void)
+        trace = trace if (fraction[i] < 1.0) & (fraction[i] > 0.0) else 0.0
+        along, even = clear * trace, (1.0 - clear) * trace / 3.0
+        g[i] -= along * nx * nx + even
+        g[W + i] -= along * nx * ny
+        g[2 * W + i] -= along * nx * nz
+        g[3 * W + i] -= along * nx * ny
+        g[4 * W + i] -= along * ny * ny + even
+        g[5 * W + i] -= along * ny * nz
+        g[6 * W + i] -= along * nx * nz
+        g[7 * W + i] -= along * ny * nz
+        g[8 * W + i] -= along * nz * nz + even

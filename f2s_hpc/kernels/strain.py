@@ -12,7 +12,6 @@ from f2s_hpc.kernels.plasticity import (
     AFTER,
     ELASTIC_AFTER,
     ELASTIC_BEFORE,
-    GRADIENT,
     MISES,
     NORM,
     RATIO,
@@ -28,12 +27,12 @@ from f2s_hpc.kernels.plasticity import (
     heat_chunk,
     return_chunk,
 )
-from f2s_hpc.kernels.scratch import W
+from f2s_hpc.kernels.scratch import W, place_of_largest
 from f2s_hpc.kernels.skin import surface_strain
 from f2s_hpc.materials.pressure import pressure, stored_energy
 
 
-@kernel
+@inlined
 def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shear_modulus, largest, s):
     """Rotate the old stress and add the elastic increment over a chunk of cells, into rows TRIAL, MISES, STRAIN.
 
@@ -110,7 +109,7 @@ def closure(x, fraction, jacobian, energy, eos, spall):
     return 1.0 if (x >= jacobian) or holds else ratio
 
 
-@kernel
+@inlined
 def _close_chunk(mass, fraction, energy, shock, closing, dt, bulk, eos, s):
     """Volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk.
 
@@ -123,7 +122,7 @@ def _close_chunk(mass, fraction, energy, shock, closing, dt, bulk, eos, s):
         s[VISCOUS * W + i] = -0.5 * dt * fraction[i] * s[VOLUME_BEFORE * W + i] * shock[i] * (closing[i] + rate)
 
 
-@kernel
+@inlined
 def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
     """Add pressure, stress and viscous work, and what the numerics lost, to the internal energy of a chunk (J/kg)."""
     for i in range(mass.size):
@@ -151,14 +150,14 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
         energy[i] = e + work / (x * bulk.density)
 
 
-@kernel
+@inlined
 def _write_stress(stress, mass, trial, s):
     """Write one component of the returned stress of a chunk back to its array; void keeps zero."""
     for i in range(mass.size):
         stress[i] = s[RATIO * W + i] * s[trial * W + i] if mass[i] > 0.0 else 0.0
 
 
-@kernel
+@inlined
 def _elastic_chunk(mass, fraction, bulk, eos, s):
     """Elastic energy per cell volume (J/m3) before and after, and squared gradient norm of the solid cells."""
     inverse = 1.0 / (4.0 * bulk.shear_modulus)
@@ -179,23 +178,13 @@ def _elastic_chunk(mass, fraction, bulk, eos, s):
         s[NORM * W + i] = norm if s[AFTER * W + i] >= 0.5 and mass[i] > 0.0 else 0.0
 
 
-@kernel
+@inlined
 def _sum_row(row, n, scale, s):
     """Return the exact integer sum of a scratch row in quanta; ``scale``: quanta per unit."""
     total = np.int64(0)
     for i in range(n):
         total += np.int64(math.floor(s[row * W + i] * scale + 0.5))
     return total
-
-
-@kernel
-def _steepest(n, fastest, s):
-    """Return the largest squared gradient norm of a chunk, not below ``fastest`` unless it is NaN, and its place."""
-    where = -1
-    for i in range(n):
-        if not s[NORM * W + i] <= fastest:
-            fastest, where = s[NORM * W + i], i
-    return fastest, where
 
 
 @kernel
@@ -217,6 +206,7 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
     ny, nx = shape
     scratch, places = np.empty(ROWS * W), np.empty(W, dtype=np.int64)
     s, place, nothing, carried = borrowed(scratch), borrowed(places), np.zeros(W), energy.size > 1
+    moved = s[TRIAL * W:]
     mass, fraction, peeq, temperature = borrowed(mass), borrowed(fraction), borrowed(peeq), borrowed(temperature)
     u, v, w, shock, hourglass = borrowed(u), borrowed(v), borrowed(w), borrowed(shock), borrowed(hourglass)
     x, y, z, gx, gy, gz, before = (borrowed(x), borrowed(y), borrowed(z), borrowed(gx), borrowed(gy), borrowed(gz),
@@ -238,15 +228,15 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
             a = (k * (ny + 1) + j) * (nx + 1) + first
             b, c, m = a + nx + 1, a + (nx + 1) * (ny + 1), n + 1
             d = c + nx + 1
-            gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, GRADIENT, s)
-            gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, GRADIENT + 3, s)
-            gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, GRADIENT + 6, s)
+            gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, s)
+            gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, s[3 * W:])
+            gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, s[6 * W:])
             if displaced:
-                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, TRIAL, s)
-                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, TRIAL + 3, s)
-                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, TRIAL + 6, s)
+                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, moved)
+                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, moved[3 * W:])
+                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, moved[6 * W:])
                 s[VOLUME_BEFORE * W:VOLUME_BEFORE * W + n] = before[a:a + n]
-                to_deformed(n, GRADIENT, TRIAL, VOLUME_BEFORE, s)
+                to_deformed(n, s, moved, s[VOLUME_BEFORE * W:])
             else:
                 s[VOLUME_BEFORE * W:VOLUME_BEFORE * W + n] = 1.0
             volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[b:b + n], gz[a:a + n], gz[c:c + n],
@@ -254,7 +244,7 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
             filled, f, t = mass[cell:end], fraction[cell:end], temperature[cell:end]
             e = energy[cell:end] if carried else nothing[:n]
             _close_chunk(filled, f, e, shock[a:a + n], closing[a:a + n], dt, bulk, eos, s)
-            surface_strain(mass, f, cell, shape, s)
+            surface_strain(mass, f, cell, shape, s, moved)
             _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
                           stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
             return_chunk(flow, filled, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
@@ -269,8 +259,8 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
                 f[i] = s[AFTER * W + i] if filled[i] > 0.0 else f[i]
             for term in range(6):
                 sums[term] += _sum_row(ELASTIC_BEFORE + term, n, scale, s)
-            fastest, at = _steepest(n, fastest, s)
+            at = place_of_largest(s[NORM * W:NORM * W + n], fastest)
             if at >= 0:
-                where = cell + at
+                fastest, where = s[NORM * W + at], cell + at
     scratch[0], places[0] = 0.0, 0  # alive to here
     return math.sqrt(fastest), where
