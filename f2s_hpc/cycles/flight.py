@@ -2,7 +2,9 @@
 
 Until then it moves on a straight line and costs nothing: no flying cells, no diffusion by the remap in flight. It is
 put onto the grid as soon as material, a side that its path leads to, or a sphere it will catch up with comes within
-reach, a few cells, so that it enters the scheme before any force acts on it.
+reach, a few cells, so that it enters the scheme before any force acts on it. Material that flies along with it does
+not count, until what has stopped it comes within reach: in a dense spray the spheres of a batch are all within reach
+of each other, and the first impact would call all of them down.
 """
 
 from __future__ import annotations
@@ -11,7 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from f2s_hpc import mpi
+from f2s_hpc.cycles.insert import OVERFILL
 from f2s_hpc.errors import UnstableStep
+from f2s_hpc.fields import VELOCITY
 from f2s_hpc.kernels import paint
 from f2s_hpc.particles.batch import Batch, join
 from f2s_hpc.state import State
@@ -25,6 +29,12 @@ LOOK = 2
 
 CLEARANCE = 0.25
 """Step (in cells) by which a new sphere is raised until nothing is in its place."""
+
+
+SAME = 1e-3
+"""Material whose velocity differs from a sphere's by less than this share of its speed flies along with it."""
+
+NO_ROOM = "a particle meets material at the top of the box, where it does not fit in; make domain.size higher"
 
 
 class Flight:
@@ -41,6 +51,7 @@ class Flight:
         self.start = np.empty(0)
         self.contact = np.empty(0)
         self.calls = 0
+        self.raised = 0  # spheres that started their life on the grid higher than they flew
 
     @property
     def count(self) -> int:
@@ -128,17 +139,17 @@ class Flight:
         now = self.at(time)
         reach = REACH * self.dx + ahead * np.linalg.norm(self.velocity, axis=1)
         near = np.zeros(self.count)
-        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, state.part.offset, self.dx,
-                                    state.owned_window(), state.views["mass"], near)
+        paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, self.velocity, SAME, state.part.offset, self.dx,
+                                    state.owned_window(), *(state.views[n] for n in ("mass", *VELOCITY)), near)
         inside = now.z + now.r <= self.extents[2]
         touches = mpi.maximum(near) > 0.0
         if (touches & ~inside).any():
-            raise UnstableStep("a particle meets material at the top of the box, where it does not fit in; make "
-                               "domain.size higher")
+            raise UnstableStep(NO_ROOM)
         meets = touches | (inside & ((self.contact <= time + ahead) | self._at_side(now, reach)))
         meets &= ~self._overlapping(now, meets)
         if not meets.any():
             return None
+        self._make_room(state, now, meets)
         keep = ~meets
         arrived = now.chosen(meets)
         self.spheres = Batch(*self.spheres.arrays[:4]).chosen(keep)
@@ -163,6 +174,44 @@ class Flight:
                 held[high] = True
         return held
 
+    def _make_room(self, state: State, now: Batch, chosen: np.ndarray) -> None:
+        """Raise each chosen sphere that would overfill a cell, and what flies where it goes, until all have room.
+
+        A painted sphere that flies along has blurred edges, and its neighbours are painted into the same cells later.
+        Changes ``now`` too. Collective; raises ``UnstableStep`` where a sphere would not fit into the box.
+        """
+        before, crowded = now.z.copy(), chosen.copy()
+        while True:
+            overlap = np.zeros(self.count)
+            paint.sphere_overlaps(now.x, now.y, now.z, now.r, crowded, state.part.offset, self.dx,
+                                  state.owned_window(), state.views["mass"], overlap)
+            crowded &= mpi.maximum(overlap) > OVERFILL
+            if not crowded.any():
+                break
+            now.z[crowded] += CLEARANCE * self.dx
+            crowded |= chosen & self._push_up(now, crowded)
+        self.spheres.z[:] += now.z - before
+        lifted = now.z > before
+        self.raised += int(lifted.sum())
+        if (now.z + now.r > self.extents[2])[chosen & lifted].any():
+            raise UnstableStep(NO_ROOM)
+
+    def _push_up(self, now: Batch, moved: np.ndarray) -> np.ndarray:
+        """Raise every sphere that one of the ``moved`` has been raised into, and so on; return which were."""
+        pushed, todo = np.zeros(self.count, dtype=np.bool_), list(np.flatnonzero(moved))
+        while todo:
+            low = todo.pop(0)
+            both = now.r + now.r[low]
+            across = np.hypot(now.x - now.x[low], now.y - now.y[low])
+            short = np.where(across < both, now.z[low] + np.sqrt(np.maximum(both * both - across * across, 0.0)) - now.z,
+                             0.0)
+            # (spheres that a batch has in touch may overlap by round-off)
+            hit = np.flatnonzero((short > 1e-6 * both) & (now.z > now.z[low]))
+            now.z[hit] += short[hit]
+            pushed[hit] = True
+            todo.extend(h for h in hit if h not in todo)
+        return pushed
+
     def _at_side(self, now: Batch, reach: np.ndarray) -> np.ndarray:
         """Tell which spheres are within reach of a side that they fly towards; the bottom counts, the top does not."""
         found = np.zeros(self.count, dtype=np.bool_)
@@ -177,7 +226,7 @@ class Flight:
         """Return what a checkpoint must hold."""
         return {"spheres": [a.tolist() for a in self.spheres.arrays[:4]], "velocity": self.velocity.tolist(),
                 "start": self.start.tolist(), "contact": [float(c) if np.isfinite(c) else None for c in self.contact],
-                "calls": self.calls}
+                "calls": self.calls, "raised": self.raised}
 
     def restore(self, saved: dict) -> None:
         """Take back what :meth:`attributes` returned."""
@@ -185,4 +234,4 @@ class Flight:
         self.velocity = np.array(saved["velocity"], dtype=float).reshape(-1, 3)
         self.start = np.array(saved["start"], dtype=float)
         self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)
-        self.calls = saved["calls"]
+        self.calls, self.raised = saved["calls"], saved["raised"]

@@ -278,7 +278,8 @@ class Simulation:
         memory = mpi.all_gather(measure.peak_memory())
         row = {
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
-            "dt_limit": clock.limit, "particles": self.particles, "particles_moved": self.moved,
+            "dt_limit": clock.limit, "particles": self.particles,
+            "particles_moved": self.moved + (0 if self.flight is None else self.flight.raised),
             "particles_waiting": self.waiting.count,
             "particles_in_flight": 0 if self.flight is None else self.flight.count}
         row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)

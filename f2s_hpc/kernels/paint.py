@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from f2s_hpc._jit import kernel
@@ -37,16 +39,33 @@ def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, overlap):
 
 
 @kernel
-def spheres_near_material(x, y, z, reach, offset, dx, window, mass, near):
+def _flies_along(k, j, i, u, v, w, velocity, s, slack):
+    """Tell whether all eight nodes of a cell move with sphere ``s``, to within ``slack`` (m/s)."""
+    for c in range(2):
+        for b in range(2):
+            for a in range(2):
+                x = u[k + c, j + b, i + a] - velocity[s, 0]
+                y = v[k + c, j + b, i + a] - velocity[s, 1]
+                z = w[k + c, j + b, i + a] - velocity[s, 2]
+                if not x * x + y * y + z * z <= slack * slack:
+                    return False
+    return True
+
+
+@kernel
+def spheres_near_material(x, y, z, reach, velocity, same, offset, dx, window, mass, u, v, w, near):
     """Set ``near[s]`` to 1 where the centre of a cell of ``window`` with material is within ``reach[s]`` of sphere s.
 
-    ``x, y, z``: centres (m); ``offset``, ``window``, ``mass`` as in :func:`sphere_overlaps`.
+    Material that flies along with the sphere does not count: all nodes of its cell have the sphere's ``velocity``
+    (spheres, 3) to within the share ``same`` of its speed. ``x, y, z``: centres (m); ``offset``, ``window``, ``mass``
+    as in :func:`sphere_overlaps`; ``u, v, w``: 3-D local node arrays (m/s).
     """
     k0, k1, j0, j1, i0, i1 = window
     for s in range(x.size):
         a0, a1, b0, b1, c0, c1 = sphere_bounds(x[s], y[s], z[s], reach[s], 0.0, 0.0, 0.0, dx, i0 + offset[0],
                                                i1 + offset[0], j0 + offset[1], j1 + offset[1], k0 + offset[2],
                                                k1 + offset[2])
+        slack = same * math.sqrt(velocity[s, 0] ** 2 + velocity[s, 1] ** 2 + velocity[s, 2] ** 2)
         for k in range(c0, c1):
             for j in range(b0, b1):
                 if near[s] > 0.0:
@@ -55,8 +74,11 @@ def spheres_near_material(x, y, z, reach, offset, dx, window, mass, near):
                 left = reach[s] * reach[s] - dy * dy - dz * dz
                 for i in range(a0, a1):
                     away = (i + 0.5) * dx - x[s]
-                    if away * away <= left and mass[k - offset[2], j - offset[1], i - offset[0]] > 0.0:
-                        near[s] = 1.0
+                    c, b, a = k - offset[2], j - offset[1], i - offset[0]
+                    if away * away <= left and mass[c, b, a] > 0.0:
+                        if not _flies_along(c, b, a, u, v, w, velocity, s, slack):
+                            near[s] = 1.0
+                            break
 
 
 @kernel
