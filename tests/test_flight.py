@@ -7,9 +7,10 @@ import pytest
 from solver_setup import make_model, make_setup
 
 from f2s_hpc import mpi
-from f2s_hpc.cycles.flight import LOOK, REACH, Flight
-from f2s_hpc.cycles.insert import paint_arrivals
+from f2s_hpc.cycles.flight import CLEARANCE, LOOK, REACH, Flight
+from f2s_hpc.cycles.insert import OVERFILL, paint_arrivals
 from f2s_hpc.errors import UnstableStep
+from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import Batch
 
 DX = 3e-6
@@ -61,6 +62,54 @@ def test_what_arrives_is_all_that_was_launched(setup):
     paint_arrivals(setup.state, setup.model, arrived, 700.0, setup.ledger)
     painted = (mpi.total(setup.state.owned("mass").sum()) - before) * DX**3
     assert painted == pytest.approx(4.0 / 3.0 * np.pi * (9e-6) ** 3, rel=1e-9)
+
+
+def _painted_companion(setup, *rows):
+    """Launch spheres, paint the first as if it had met something, and return the flight of the others."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    first = Flight(DX, setup.state.part.box.extents)
+    first.launch(setup.state, spheres(rows[0]), DOWN, 0.0)
+    flight.launch(setup.state, spheres(*rows[1:]), DOWN, 0.0)
+    paint_arrivals(setup.state, setup.model, (spheres(rows[0]), DOWN), 700.0, setup.ledger)
+    return flight
+
+
+def test_material_that_flies_along_calls_no_sphere_down_until_it_is_stopped(setup):
+    """Two spheres in touch, one on the grid; fails if ``spheres_near_material`` takes all material for an obstacle.
+
+    Or if it looks at one node of a cell only: the last node that is stopped here is a single one.
+    """
+    r = 9e-6
+    flight = _painted_companion(setup, (36e-6, 30e-6, 70e-6, r), (36e-6, 30e-6, 70e-6 + 2.0 * r, r))
+    assert flight.arrivals(setup.state, 1e-12, 1e-12) is None
+    flight.calls = 0
+    w = setup.state.views["velocity_z"]
+    k, j, i = (int(p / DX) - o for p, o in zip((77e-6, 30e-6, 36e-6), setup.state.part.offset[::-1]))
+    if all(GHOST <= at < GHOST + n for at, n in zip((i, j, k), setup.state.part.count)):
+        assert w[k, j, i] == DOWN[2]
+        w[k, j, i] *= 0.99
+    setup.state.exchange(("velocity_z",))
+    arrived, _ = flight.arrivals(setup.state, 1e-12, 1e-12)
+    assert arrived.count == 1
+    assert flight.raised == 0
+
+
+def test_spheres_that_would_overfill_cells_are_raised_with_what_is_above_them(setup):
+    """Fails if ``_make_room`` forgets the places in flight, or ``_push_up`` the sphere above the one that it moves."""
+    r = 9e-6
+    flight = _painted_companion(setup, (36e-6, 30e-6, 60e-6, r), (36e-6, 30e-6, 110e-6, r), (36e-6, 30e-6, 130e-6, r))
+    flight.spheres.z[:] = 60e-6 + 2.0 * r - 2.0 * DX, 60e-6 + 4.0 * r - 2.0 * DX
+    setup.state.views["velocity_z"][:] = 0.0
+    arrived, _ = flight.arrivals(setup.state, 1e-12, 1e-12)
+    before = mpi.total(setup.state.owned("mass").sum())
+    paint_arrivals(setup.state, setup.model, (arrived, DOWN), 700.0, setup.ledger)
+    assert mpi.maximum(np.float64(setup.state.owned("mass").max())) <= OVERFILL
+    assert flight.raised == 2
+    assert arrived.z.min() - 60e-6 == pytest.approx(2.0 * r, abs=2.0 * CLEARANCE * DX)
+    above = flight.at(1e-12).z.max() if flight.count else arrived.z.max()
+    assert above - arrived.z.min() >= 2.0 * r * (1.0 - 1e-6)
+    added = (mpi.total(setup.state.owned("mass").sum()) - before) * DX**3
+    assert added == pytest.approx(arrived.count * 4.0 / 3.0 * np.pi * r**3, rel=1e-9)
 
 
 def test_a_faster_sphere_meets_a_slower_one_when_their_gap_is_two_reaches(setup):

@@ -203,8 +203,8 @@ class Flight:
             low = todo.pop(0)
             both = now.r + now.r[low]
             across = np.hypot(now.x - now.x[low], now.y - now.y[low])
-            short = np.where(across < both, now.z[low] + np.sqrt(np.maximum(both * both - across * across, 0.0)) - now.z,
-                             0.0)
+            beside = now.z[low] + np.sqrt(np.maximum(both * both - across * across, 0.0))
+            short = np.where(across < both, beside - now.z, 0.0)
             # (spheres that a batch has in touch may overlap by round-off)
             hit = np.flatnonzero((short > 1e-6 * both) & (now.z > now.z[low]))
             now.z[hit] += short[hit]

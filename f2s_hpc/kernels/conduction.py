@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from f2s_hpc._jit import inlined, kernel
+from f2s_hpc._jit import kernel
 
 
 @kernel
