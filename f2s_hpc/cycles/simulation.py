@@ -60,6 +60,7 @@ class Simulation:
         self.active_at_start_of_cycle = 0
         self.progress = Progress(False, 1.0, 0.0, 1.0)
         self.status = RUNNING
+        self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the first step
 
     # --- start and resume ---------------------------------------------------------------------------
 
@@ -174,6 +175,8 @@ class Simulation:
             if self.flight is not None:
                 self._land()
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
+            if self.startup is None:
+                self.startup = measure.process_age(), measure.peak_memory()
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
             if clock.time >= self.next_frame_time:
                 self._frame()
@@ -303,5 +306,7 @@ class Simulation:
         memory = mpi.all_gather(measure.peak_memory())  # the frame after the last row may have been the largest
         row = row | {"peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
+        age, memory = self.startup or (measure.process_age(), measure.peak_memory())
+        keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}
