@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from f2s_hpc._jit import borrowed, kernel
+from f2s_hpc._jit import borrowed, inlined, kernel
 
 NONE, MIRROR, VOID, COPY, EVEN = 0, 1, 2, 3, 4
 
@@ -27,22 +27,24 @@ def _fill_row(memory, offsets, signs, rule, active, k, j, row_length, to, of, bl
         b += 1
 
 
-@kernel
-def _fill_ends(memory, offsets, signs, rules, edges, layers, on_nodes, active, k, j, row, block):
-    """Fill the ghosts at both ends of one row (k, j) that starts at ``row``, where their blocks are active."""
-    blocks = active.shape[2]
-    for layer in range(1, layers + 1):
-        for high in range(2):
-            rule, edge, direction = rules[high], edges[high], 2 * high - 1
-            target = row + edge + direction * layer
-            if rule == NONE or not active[k, j, min((edge + direction * layer) // block, blocks - 1)]:
-                continue
-            source = row + edge
-            if rule == MIRROR or rule == EVEN:
-                source -= direction * (layer if on_nodes else layer - 1)
-            for f in range(offsets.size):
-                factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
-                memory[offsets[f] + target] = factor * memory[offsets[f] + source]
+@inlined
+def _fill_end(memory, offsets, signs, rule, edge, direction, first, end, on_nodes, active, k, j, row, block):
+    """Fill the ghost layers ``first`` to ``end`` - 1 at one end of a row (k, j) that starts at ``row``, where active.
+
+    ``edge``: index of the last layer inside the box; ``direction``: -1 at the low end, +1 at the high one.
+    """
+    last = active.shape[2] - 1
+    near, far = min((edge + direction * first) // block, last), min((edge + direction * (end - 1)) // block, last)
+    if not active[k, j, near] and not active[k, j, far]:
+        return
+    mirrored, inner = rule == MIRROR or rule == EVEN, 0 if on_nodes else 1
+    for f in range(offsets.size):
+        factor = 0.0 if rule == VOID else (signs[f] if rule == MIRROR else 1.0)
+        place = offsets[f] + row + edge
+        for layer in range(first, end):
+            if active[k, j, min((edge + direction * layer) // block, last)]:
+                source = place - direction * (layer - inner) if mirrored else place
+                memory[place + direction * layer] = factor * memory[source]
 
 
 @kernel
@@ -60,10 +62,15 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, si
     memory = borrowed(memory)
     strides = (1, nx, nx * ny)
     if axis == 0:
+        together = layers if edges[1] - edges[0] > layers else 1
         for k in range(nz):
             for j in range(ny):
-                _fill_ends(memory, offsets, signs, rules, edges, layers, on_nodes, active,
-                           min(k, active.shape[0] - 1), min(j, active.shape[1] - 1), k * strides[2] + j * nx, block)
+                kk, jj = min(k, active.shape[0] - 1), min(j, active.shape[1] - 1)
+                for first in range(1, layers + 1, together):
+                    for high in range(2):
+                        if rules[high] != NONE:
+                            _fill_end(memory, offsets, signs, rules[high], edges[high], 2 * high - 1, first,
+                                      first + together, on_nodes, active, kk, jj, k * strides[2] + j * nx, block)
         return
     for layer in range(1, layers + 1):
         for high in range(2):

@@ -1,0 +1,118 @@
+"""What whole runs cost: one sphere as other codes ran it, start-up, empty height, cost per particle."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import resource
+import shlex
+import statistics
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+
+from f2s_hpc.cycles.output import SCENE_FILE
+from f2s_hpc.doctor import launch_environment
+from f2s_hpc.errors import F2SError
+from f2s_hpc.io import runs
+
+QUIET = ("output.frames=none", "output.checkpoints=false", "output.picture=false")
+
+PEERS_SPLAT = (
+    'domain.size=["150 um", "150 um", "120 um"]', "domain.cell_size=3 um", "domain.substrate_height=75 um",
+    "domain.particle_layer_height=45 um", "material.name=copper-johnson-cook", "particles.temperature=25 degC",
+    'batches.spheres=[["75 um", "75 um", "18 um", "15 um"]]', "cycles.duration=100 ns",
+    *(f"domain.faces.{side}=free" for side in ("x_low", "x_high", "y_low", "y_high")))
+"""30 um copper sphere, 615 m/s, Johnson-Cook, block of 150 x 150 x 75 um, 3 um, 100 ns; bottom fixed, sides free."""
+
+
+def read_scene_text(folder: pathlib.Path) -> dict:
+    """Return the scene of a run folder as it is written there; raises ``F2SError`` if there is none."""
+    try:
+        return tomllib.loads((folder / SCENE_FILE).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise F2SError(f"{folder}: no run to read ({error.strerror})") from None
+
+
+def run_once(scene: str, settings: Sequence[str], folder: pathlib.Path, **environment: str) -> dict:
+    """Run a scene on one core; return its summary and ``cpu_s``, user and system time of the whole process.
+
+    Raises ``F2SError`` if it fails.
+    """
+    words = [sys.executable, "-m", "f2s_hpc", "run", scene, "--out", str(folder)]
+    words += [word for setting in (*QUIET, *settings) for word in ("--set", setting)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(words, env=launch_environment(os.environ) | environment, capture_output=True, text=True,
+                          check=False, stdin=subprocess.DEVNULL)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        said = (done.stderr.strip() or done.stdout.strip() or "no word").splitlines()[-1]
+        raise F2SError(f"the run of {scene} ended with {done.returncode}: {said}")
+    return runs.read_summary(folder) | {"cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime}
+
+
+def splat(out: pathlib.Path) -> str:
+    """Return the cost of the sphere that other codes ran."""
+    run_once("splat", [*PEERS_SPLAT, "cycles.duration=1 ns"], out / "splat-warm")  # kernels in the cache
+    found = run_once("splat", PEERS_SPLAT, out / "splat")
+    return (f"one sphere of 30 um, 150 x 150 x 75 um, 3 um, Johnson-Cook, 100 ns: {found['cpu_s']:.1f} s of CPU on one "
+            f"core, start and all, {found['steps']} steps, {found['active_cell_steps'] / 1e6:.0f} M cell-steps, "
+            f"{found['peak_memory_bytes'] / 1e6:.0f} MB")
+
+
+def startup(out: pathlib.Path) -> str:
+    """Return how long section4 takes to its first step, with a warm and with a cold cache of kernels."""
+    first = ("cycles.count=1", "cycles.duration=1 ns", "cycles.last_duration=1 ns")
+    run_once("section4", first, out / "start-first")
+    warm = min(run_once("section4", first, out / f"start-warm-{n}")["startup_s"] for n in range(3))
+    cold = run_once("section4", first, out / "start-cold", F2S_CACHE_DIR=str((out / "cache").resolve()))["startup_s"]
+    return (f"section4 at 3 um, from the start of the process to the end of the first step: {warm:.1f} s, "
+            f"{cold:.0f} s where all kernels have to be compiled")
+
+
+def empty_height(out: pathlib.Path, pairs: int = 5) -> str:
+    """Return what twice the height of the box of quickstart costs, the same particles starting at the same place."""
+    words = [sys.executable, "-m", "f2s_hpc", "particles", "quickstart", "--out", str(out / "batches")]
+    done = subprocess.run(words, env=launch_environment(os.environ), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise F2SError(f"the batches of quickstart could not be made: {done.stderr.strip()}")
+    files = sorted(str(path) for path in (out / "batches").glob("*.csv"))
+    low_box = [f"batches.files=[{', '.join(map(repr, files))}]"]
+    high_box = [*low_box, 'domain.size=["0.12 mm", "0.12 mm", "0.6 mm"]', "domain.particle_layer_height=0.402 mm"]
+    low, high = [], []
+    for n in range(pairs):  # in turn, so that what else the machine does meets both
+        low.append(run_once("quickstart", low_box, out / f"low-{n}"))
+        high.append(run_once("quickstart", high_box, out / f"high-{n}"))
+
+    def more(key: str) -> float:
+        return statistics.median(b[key] / a[key] for a, b in zip(low, high)) - 1.0
+
+    return (f"quickstart in a box twice as high, medians of {pairs} pairs of runs: CPU time {more('cpu_s'):+.1%}, "
+            f"cell-steps {more('active_cell_steps'):+.1%}, peak memory {more('peak_memory_bytes'):+.1%}")
+
+
+def per_particle(wide: pathlib.Path, out: pathlib.Path, ranks: int, launcher: str) -> str:
+    """Return the cost per particle of a finished run of wide-100k against section4 with its cells, on ``ranks`` ranks.
+
+    Both by their cell-steps, which do not depend on what else the machine does, and by the clock.
+    """
+    many = runs.read_summary(wide)
+    dx = read_scene_text(wide)["domain"]["cell_size"]
+    folder = out / "section4"
+    command = [*shlex.split(launcher), str(ranks), sys.executable, "-m", "f2s_hpc", "run", "section4", "--out",
+               str(folder), "--set", f"domain.cell_size={dx}"]
+    done = subprocess.run(command, env=launch_environment(os.environ), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise F2SError(f"the run of section4 ended with {done.returncode}: {done.stderr.strip()}")
+    few = runs.read_summary(folder)
+
+    def each(summary: dict, key: str) -> float:
+        return summary[key] / summary["particles"]
+
+    lines = [(f"cells of {dx}: section4 {few['particles']:,} particles, {few['wall_s']:.0f} s; wide-100k "
+             f"{many['particles']:,} particles, {many['wall_s']:.0f} s, {many['ranks']} ranks")]
+    for key, name in (("active_cell_steps", "cell-steps"), ("wall_s", "wall time")):
+        lines.append(f"  {name} per particle: {each(many, key) / each(few, key) - 1.0:+.1%}, per volume deposited: "
+                     f"{many[key] / many['painted_volume_m3'] / (few[key] / few['painted_volume_m3']) - 1.0:+.1%}")
+    return "\n".join(lines)

@@ -1,0 +1,46 @@
+"""The script that measures whole runs: its parts run, and their lines say what was measured."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+
+import pytest
+
+from f2s_hpc.bench import performance
+from f2s_hpc.errors import F2SError
+
+
+def test_the_splat_is_the_one_that_other_codes_ran(tmp_path, monkeypatch):
+    """At coarse cells; fails if a setting no longer exists, or the sphere starts inside the block."""
+    monkeypatch.setattr(performance, "PEERS_SPLAT", (*performance.PEERS_SPLAT, "domain.cell_size=7.5 um"))
+    line = performance.splat(tmp_path)
+    found = performance.runs.read_summary(tmp_path / "splat")
+    assert found["cells"] == 20 * 20 * 16
+    assert found["particles"] == 1
+    assert found["painted_volume_m3"] == pytest.approx(4.0 / 3.0 * math.pi * 15e-6**3, rel=1e-3)
+    assert float(re.search(r"([0-9.]+) s of CPU", line)[1]) > 0.3
+
+
+def test_twice_the_height_is_the_same_run(tmp_path):
+    """Same deposit and nearly the same cell-steps; fails if the particles of the high box start elsewhere."""
+    line = performance.empty_height(tmp_path, pairs=1)
+    low, high = (performance.runs.read_summary(tmp_path / name) for name in ("low-0", "high-0"))
+    assert high["cells"] == 2 * low["cells"]
+    assert high["dense_height_m"] == pytest.approx(low["dense_height_m"], rel=1e-9)
+    assert abs(float(re.search(r"cell-steps ([+-][0-9.]+)%", line)[1])) < 3.0
+    assert abs(float(re.search(r"peak memory ([+-][0-9.]+)%", line)[1])) < 3.0
+
+
+def test_a_run_that_fails_says_so(tmp_path):
+    """Fails if the exit code of a run is not looked at."""
+    with pytest.raises(F2SError, match="speed"):
+        performance.run_once("splat", ["particles.speed=fast"], tmp_path / "x")
+
+
+def test_cost_per_particle_wants_a_run(tmp_path):
+    """Fails if a wrong folder ends in a traceback."""
+    shutil.rmtree(tmp_path)
+    with pytest.raises(F2SError):
+        performance.per_particle(tmp_path, tmp_path, 1, "mpirun -n")
