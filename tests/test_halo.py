@@ -11,12 +11,19 @@ from solver_setup import ALL_SYMMETRY, STANDARD_SIDES
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL, FIELDS, VELOCITY
+from f2s_hpc.grid import halo
 from f2s_hpc.grid.box import GHOST, SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition, process_grid
 from f2s_hpc.state import State
 
 CELLS = (13, 14, 17)
 MIXED = dict(zip(SIDES, ("symmetry", "outflow", "free", "fixed", "outflow", "free")))
+
+
+@pytest.fixture(params=["in one message", "each in its own"])
+def messages(request, monkeypatch):
+    """Exchange all fields in one message per neighbour, or each in its own."""
+    monkeypatch.setattr(halo, "PACKED", halo.PACKED if request.param == "in one message" else -1)
 
 
 def process_grids():
@@ -64,6 +71,7 @@ def expected(state, name):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("sides", [ALL_SYMMETRY, STANDARD_SIDES, MIXED], ids=["mirrors", "standard", "mixed"])
+@pytest.mark.usefixtures("messages")
 def test_ghosts_are_what_their_global_index_says(sides):
     """All fields, all process grids of this many ranks: faces, edges, corners, mirror signs, copies and voids.
 
@@ -88,8 +96,9 @@ def test_ghosts_are_what_their_global_index_says(sides):
 
 
 @pytest.mark.mpi
+@pytest.mark.usefixtures("messages")
 def test_exchange_touches_only_the_named_fields():
-    """Fails when ``Pool._build`` runs over ``self.names``."""
+    """Fails when ``Pool._packed``, or ``_plan``, runs over ``self.names``."""
     state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, False)
     for name in state.ghosted:
         state.views[name][...] = np.nan

@@ -1,9 +1,9 @@
 """Ghost exchange: all fields of a list in one message per neighbour.
 
 The fields of a rank live in one pool of memory, each a contiguous array of its own, as the kernels
-want them. A PETSc star forest over that pool maps every ghost of every listed field to its owner,
-so an exchange costs one message per neighbour however many fields it carries, and touches only the
-ghosts: an empty box costs nothing.
+want them. PETSc star forests map ghosts to their owners: for few ghosts one over that pool, of every listed field, so
+that an exchange costs one message per neighbour however many fields it carries; for many one that all fields share.
+Only ghosts are touched: an empty box costs nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,13 @@ from petsc4py import PETSc
 from f2s_hpc import mpi
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST
-from f2s_hpc.grid.decomposition import Decomposition
+from f2s_hpc.grid.decomposition import Decomposition, GhostMap
+
+PACKED = 16384
+"""Ghosts of a rank (of one field) up to which all fields of an exchange go in one message per neighbour.
+
+That saves latency, and costs a map of every ghost of every field. With more ghosts messages are so long that latency
+is nothing, and each field has its own; all fields on cells (or nodes) then share one map."""
 
 _ALIGNMENT = 8
 _living: list[Pool] = []
@@ -43,6 +49,7 @@ class Pool:
         self.views = {name: self._view(part, name) for name in self.names}
         self._offsets_of = mpi.all_gather(self.offsets)
         self._forests: dict[tuple, PETSc.SF] = {}
+        self._transfers: dict[tuple, list[tuple[PETSc.SF, np.ndarray]]] = {}
         _living.append(self)
 
     @staticmethod
@@ -59,27 +66,53 @@ class Pool:
         if mpi.size() == 1:
             return
         key = (names, layers, axis)
-        forest = self._forests.get(key)
-        if forest is None:
-            forest = self._forests[key] = self._build(*key)
-        forest.bcastBegin(mpi.DOUBLE, self.memory, self.memory, mpi.REPLACE)
-        forest.bcastEnd(mpi.DOUBLE, self.memory, self.memory, mpi.REPLACE)
+        transfers = self._transfers.get(key)
+        if transfers is None:
+            transfers = self._transfers[key] = self._plan(*key)
+        for forest, memory in transfers:
+            forest.bcastBegin(mpi.DOUBLE, memory, memory, mpi.REPLACE)
+        for forest, memory in transfers:
+            forest.bcastEnd(mpi.DOUBLE, memory, memory, mpi.REPLACE)
 
-    def _build(self, names: tuple[str, ...], layers: int, axis: int | None) -> PETSc.SF:
+    def _plan(self, names: tuple[str, ...], layers: int, axis: int | None) -> list[tuple[PETSc.SF, np.ndarray]]:
+        """Return the star forests of an exchange and the memory that each works on: one for all fields, or one each."""
+        ghosts = {location: self._ghosts(location, layers, axis) for location in {BY_NAME[n].location for n in names}}
+        most = max(found.local.size for found in ghosts.values())
+        if mpi.maximum(np.int64(most)) <= PACKED:
+            return [(self._forest(("packed", names, layers, axis), self.memory.size, *self._packed(names, ghosts)),
+                     self.memory)]
+        found = []
+        for name in names:
+            location = BY_NAME[name].location
+            mine = ghosts[location]
+            forest = self._forest(("shared", location, layers, axis), self.views[name].size, mine.local,
+                                  np.stack([mine.rank, mine.remote], axis=1))
+            found.append((forest, self.views[name].reshape(-1)))
+        return found
+
+    def _ghosts(self, location: str, layers: int, axis: int | None) -> GhostMap:
+        part, cells = self.decomposition.part, location == CELL
+        owners = self.decomposition.cell_ghosts if cells else self.decomposition.node_ghosts
+        return owners.part(part.cell_shape if cells else part.node_shape, part.count if cells else part.node_count,
+                           layers, axis)
+
+    def _packed(self, names: tuple[str, ...], ghosts: dict[str, GhostMap]) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the ghosts of all named fields lie in the pool, and rank and place there of their owners."""
         local, remote = [], []
         for name in names:
-            on_cells = BY_NAME[name].location == CELL
-            part = self.decomposition.part
-            ghosts = (self.decomposition.cell_ghosts if on_cells else self.decomposition.node_ghosts).part(
-                part.cell_shape if on_cells else part.node_shape, part.count if on_cells else part.node_count, layers,
-                axis)
+            found = ghosts[BY_NAME[name].location]
             offset_at = np.array([offsets[name] for offsets in self._offsets_of], dtype=np.int64)
-            local.append(self.offsets[name] + ghosts.local)
-            remote.append(np.stack([ghosts.rank, offset_at[ghosts.rank] + ghosts.remote], axis=1))
-        forest = PETSc.SF().create(comm=mpi.world())
-        forest.setGraph(self.memory.size, np.concatenate(local).astype(PETSc.IntType),
-                        np.concatenate(remote).astype(PETSc.IntType))
-        forest.setUp()
+            local.append(self.offsets[name] + found.local)
+            remote.append(np.stack([found.rank, offset_at[found.rank] + found.remote], axis=1))
+        return np.concatenate(local), np.concatenate(remote)
+
+    def _forest(self, key: tuple, size: int, local: np.ndarray, remote: np.ndarray) -> PETSc.SF:
+        """Return the star forest of ``key``, made from ``local`` and ``remote`` unless there is one."""
+        forest = self._forests.get(key)
+        if forest is None:
+            forest = self._forests[key] = PETSc.SF().create(comm=mpi.world())
+            forest.setGraph(size, local.astype(PETSc.IntType), remote.astype(PETSc.IntType))
+            forest.setUp()
         return forest
 
     def destroy(self) -> None:
@@ -87,6 +120,7 @@ class Pool:
         for forest in self._forests.values():
             forest.destroy()
         self._forests.clear()
+        self._transfers.clear()
 
 
 def release_all() -> None:

@@ -17,6 +17,7 @@ from f2s_hpc import fields
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST, Box, Part
 from f2s_hpc.grid.decomposition import Ranges
+from f2s_hpc.grid.halo import PACKED
 from f2s_hpc.particles.batch import BatchPlan
 
 BASELINE = 268 * 2**20
@@ -29,6 +30,9 @@ TEMPORARY = 80
 
 MAP = 33
 """Per ghost of another rank and exchanged field: indices of the star forests here and there, and buffers (bytes)."""
+
+SHARED = 6
+"""Maps of each ghost where all fields share them: on cells and on nodes, deep, in one layer and along an axis."""
 
 TRACER, SENT = 205, 145
 """Per tracer point of this rank: its number and place, and what is made while it is sorted or written (bytes); more
@@ -84,8 +88,10 @@ def of_fields(scene: Scene, part: Part, planes: int) -> int:
 
 
 def _mapped(scene: Scene, neighbours: tuple[int, int, int], count: tuple[int, int, int]) -> int:
-    """Return ghosts of other ranks times exchanged fields, for a rank with so many neighbours along x, y, z."""
+    """Return the ghosts that all star forests map, for a rank with so many neighbours along x, y, z."""
     ghosts = math.prod(n + GHOST * m for n, m in zip(count, neighbours)) - math.prod(count)
+    if ghosts > PACKED:
+        return ghosts * SHARED
     needed = scene.needed_fields
     # maps for all that has ghosts; for velocity and what moves with the cells deep, in one layer and along each axis
     moving = sum(f.advected and f.location == fields.CELL for f in needed)
