@@ -92,27 +92,35 @@ def empty_height(out: pathlib.Path, pairs: int = 5) -> str:
             f"cell-steps {more('active_cell_steps'):+.1%}, peak memory {more('peak_memory_bytes'):+.1%}")
 
 
-def per_particle(wide: pathlib.Path, out: pathlib.Path, ranks: int, launcher: str) -> str:
-    """Return the cost per particle of a finished run of wide-100k against section4 with its cells, on ``ranks`` ranks.
+PATCH = ('domain.size=["0.32 mm", "0.32 mm", "{height}"]', "batches.particles=418")
+"""A patch of wide-100k with a 49th of its area and of its particles."""
 
-    Both by their cell-steps, which do not depend on what else the machine does, and by the clock.
-    """
-    many = runs.read_summary(wide)
-    dx = read_scene_text(wide)["domain"]["cell_size"]
-    folder = out / "section4"
-    command = [*shlex.split(launcher), str(ranks), sys.executable, "-m", "f2s_hpc", "run", "section4", "--out",
-               str(folder), "--set", f"domain.cell_size={dx}"]
+
+def _on_ranks(scene: str, settings: Sequence[str], folder: pathlib.Path, ranks: int, launcher: str) -> dict:
+    command = [*shlex.split(launcher), str(ranks), sys.executable, "-m", "f2s_hpc", "run", scene, "--out", str(folder),
+               *(word for setting in settings for word in ("--set", setting))]
     done = subprocess.run(command, env=launch_environment(os.environ), capture_output=True, text=True, check=False)
     if done.returncode:
-        raise F2SError(f"the run of section4 ended with {done.returncode}: {done.stderr.strip()}")
-    few = runs.read_summary(folder)
+        raise F2SError(f"the run of {scene} ended with {done.returncode}: {done.stderr.strip()}")
+    return runs.read_summary(folder)
 
-    def each(summary: dict, key: str) -> float:
-        return summary[key] / summary["particles"]
 
-    lines = [(f"cells of {dx}: section4 {few['particles']:,} particles, {few['wall_s']:.0f} s; wide-100k "
-             f"{many['particles']:,} particles, {many['wall_s']:.0f} s, {many['ranks']} ranks")]
-    for key, name in (("active_cell_steps", "cell-steps"), ("wall_s", "wall time")):
-        lines.append(f"  {name} per particle: {each(many, key) / each(few, key) - 1.0:+.1%}, per volume deposited: "
-                     f"{many[key] / many['painted_volume_m3'] / (few[key] / few['painted_volume_m3']) - 1.0:+.1%}")
+def per_particle(wide: pathlib.Path, out: pathlib.Path, ranks: int, launcher: str) -> str:
+    """Return the cost per particle of a finished run of wide-100k against section4, and against a patch of itself.
+
+    Both with its cells, on ``ranks`` ranks; by cell-steps, which do not depend on what else the machine does, and by
+    the clock. The particles of section4 are smaller, so the cost per volume is stated too.
+    """
+    many, domain = runs.read_summary(wide), read_scene_text(wide)["domain"]
+    cells, patch = f"domain.cell_size={domain['cell_size']}", [s.format(height=domain["size"][2]) for s in PATCH]
+    few = {"section4": _on_ranks("section4", [cells], out / "section4", ranks, launcher),
+           "a patch of wide-100k": _on_ranks("wide-100k", patch, out / "patch", ranks, launcher)}
+    lines = [(f"cells of {domain['cell_size']}: wide-100k {many['particles']:,} particles, {many['wall_s']:.0f} s on "
+              f"{many['ranks']} ranks, {many['peak_memory_bytes'] / 1e9:.2f} GB")]
+    for name, small in few.items():
+        lines.append(f"  against {name} ({small['particles']:,} particles, {small['wall_s']:.0f} s):")
+        for key, what in (("active_cell_steps", "cell-steps"), ("wall_s", "wall time")):
+            each, volume = (many[key] / many[by] / (small[key] / small[by]) - 1.0
+                            for by in ("particles", "painted_volume_m3"))
+            lines.append(f"    {what} per particle {each:+.1%}, per volume deposited {volume:+.1%}")
     return "\n".join(lines)
