@@ -46,11 +46,20 @@ def test_the_load_follows_the_particles():
     assert all((m.blocks >= m.solid).all() for m in history)
 
 
-def test_ballistic_flight_makes_nothing_active():
-    """Fails when ``moments`` marks flying spheres whatever the flight is."""
+def test_ballistic_flight_makes_only_what_is_close_to_the_surface_active():
+    """Fails when ``moments`` marks flying spheres whatever the flight is, or none of them."""
     scene = load_scene("section4", COARSE[:1])
-    for moment in moments(scene, make_batches(scene), 1):
-        assert (moment.blocks == moment.solid).all()
+    plan = make_batches(scene)
+    history = list(moments(scene, plan, 1))
+    assert (history[0].blocks == history[0].solid).all()  # the first batch is far above
+    assert history[0].pace == 1.0
+    reach = 4.0 * max(batch.r.max() for batch in plan.batches) / scene.domain.cell_size + 2 * GHOST
+    above = []
+    for moment in history:
+        top, highest = (np.flatnonzero(blocks.any(axis=(1, 2))).max() for blocks in (moment.blocks, moment.solid))
+        above.append(top - highest)
+    assert 0 < max(above) <= reach
+    assert history[-2].pace > 1.0
 
 
 def test_messages_of_a_cut_box():

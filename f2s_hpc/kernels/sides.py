@@ -47,6 +47,16 @@ def _fill_end(memory, offsets, signs, rule, edge, direction, first, end, on_node
                 memory[place + direction * layer] = factor * memory[source]
 
 
+@inlined
+def _is_empty(active, k):
+    """Return whether no block of plane ``k`` is active."""
+    blocks = 0
+    for j in range(active.shape[1]):
+        for b in range(active.shape[2]):
+            blocks += active[k, j, b]
+    return blocks == 0
+
+
 @kernel
 def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, signs, active, block):
     """Fill the ghost layers of several fields behind both sides of the box normal to ``axis``, where blocks are active.
@@ -64,8 +74,11 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, si
     if axis == 0:
         together = layers if edges[1] - edges[0] > layers else 1
         for k in range(nz):
+            kk = min(k, active.shape[0] - 1)
+            if _is_empty(active, kk):
+                continue
             for j in range(ny):
-                kk, jj = min(k, active.shape[0] - 1), min(j, active.shape[1] - 1)
+                jj = min(j, active.shape[1] - 1)
                 for first in range(1, layers + 1, together):
                     for high in range(2):
                         if rules[high] != NONE:

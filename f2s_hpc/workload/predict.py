@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from f2s_hpc.config.describe import estimated_time_step
+from f2s_hpc.config.describe import quiet_time_step
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Ranges
@@ -131,13 +131,14 @@ def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, n
     history = list(moments(scene, plan, samples))
     load = summed_load(history, scene.domain.cells[0])
     balances = {count: balanced(scene, plan, count, load) for count in dict.fromkeys((1, *ranks))}
-    steps = math.ceil(scene.cycles.total_time / estimated_time_step(scene))
-    active = float(load.sum())
+    paces = np.array([moment.weight * moment.pace for moment in history])
+    steps = math.ceil(scene.cycles.total_time / quiet_time_step(scene) * paces.sum())
+    active = float(load.sum())  # over time; the steps of busy times are shorter
     found: dict[int, Prediction] = {}
     for count, balance in balances.items():
         seconds, sent = message_seconds(scene, balance.ranges, rates, network)
         busy = [busy_seconds(moment, scene.domain.cells[0], balance.ranges, rates) for moment in history]
-        weights = np.array([moment.weight for moment in history])
+        weights = paces / paces.sum()
         step = float(sum(w * (b + seconds).max() for w, b in zip(weights, busy)))
         mean = sum(w * b for w, b in zip(weights, busy))
         largest = tuple(max(r) for r in balance.ranges)
