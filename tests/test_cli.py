@@ -123,7 +123,7 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
         sound = float(re.search(r"(\d+) m/s", facts["time step"])[1])
         number, unit = re.search(r"about ([\d.]+) (ps|ns)", facts["time step"]).groups()
         step = float(number) * {"ps": 1e-12, "ns": 1e-9}[unit]
-        assert math.isclose(step, 0.7 * 4e-6 / (1.2 * sound), rel_tol=0.01)
+        assert math.isclose(step, 0.7 * 4e-6 / (1.5 * sound), rel_tol=0.01)
         assert abs(int(re.search(r"\d+", facts["steps"])[0]) - 40e-9 / step) < 2
         for name in ("memory", "frames", "checkpoints"):
             assert re.search(r"\d (KiB|MiB|kB|MB|B)\b", facts[name]), facts[name]
