@@ -371,7 +371,7 @@ def test_description_states_size_time_and_output():
     assert text.startswith(dump_scene(scene))
     assert 'wall_time = "2 h"' in text
     for words in ("58 x 58 x 100 = 336,400", "29 x 58 x 100",
-                  "10 cycles", "0.746 ns", "4,723", "10 of 6.4 MiB", "36.4 MiB each", "5,000 particles",
+                  "10 cycles", "0.597 ns", "5,904", "10 of 6.4 MiB", "36.4 MiB each", "5,000 particles",
                   "painted volume 0.04 mm3", "330.3 um of dense height", scene_hash(scene)[:16]):
         assert words in text, words
     assert parse_scene(text, "check") == scene
