@@ -249,4 +249,4 @@ class Flight:
         self.velocity = np.array(saved["velocity"], dtype=float).reshape(-1, 3)
         self.start = np.array(saved["start"], dtype=float)
         self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)
-        self.calls, self.raised = saved["calls"], saved["raised"]
+        self.calls, self.raised = saved["calls"], saved.get("raised", 0)
