@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 import resource
-import shlex
 import statistics
-import subprocess
-import sys
 import tomllib
 from collections.abc import Sequence
 
+from f2s_hpc.bench import launch
 from f2s_hpc.cycles.output import SCENE_FILE
-from f2s_hpc.doctor import launch_environment
 from f2s_hpc.errors import F2SError
 from f2s_hpc.io import runs
 
@@ -40,15 +36,10 @@ def run_once(scene: str, settings: Sequence[str], folder: pathlib.Path, **enviro
 
     Raises ``F2SError`` if it fails.
     """
-    words = [sys.executable, "-m", "f2s_hpc", "run", scene, "--out", str(folder)]
-    words += [word for setting in (*QUIET, *settings) for word in ("--set", setting)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(words, env=launch_environment(os.environ) | environment, capture_output=True, text=True,
-                          check=False, stdin=subprocess.DEVNULL)
+    launch.run(launch.f2s("run", scene, "--out", str(folder), settings=(*QUIET, *settings)), f"the run of {scene}",
+               environment)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or "no word").splitlines()[-1]
-        raise F2SError(f"the run of {scene} ended with {done.returncode}: {said}")
     return runs.read_summary(folder) | {"cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime}
 
 
@@ -74,13 +65,11 @@ def startup(out: pathlib.Path) -> str:
 
 def empty_height(out: pathlib.Path, pairs: int = 5) -> str:
     """Return what twice the height of the box of quickstart costs, the same particles starting at the same place."""
-    words = [sys.executable, "-m", "f2s_hpc", "particles", "quickstart", "--out", str(out / "batches")]
-    done = subprocess.run(words, env=launch_environment(os.environ), capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise F2SError(f"the batches of quickstart could not be made: {done.stderr.strip()}")
+    launch.run(launch.f2s("particles", "quickstart", "--out", str(out / "batches")), "making the batches of quickstart")
     files = sorted(str(path) for path in (out / "batches").glob("*.csv"))
     low_box = [f"batches.files=[{', '.join(map(repr, files))}]"]
     high_box = [*low_box, 'domain.size=["0.12 mm", "0.12 mm", "0.6 mm"]', "domain.particle_layer_height=0.402 mm"]
+    run_once("quickstart", low_box, out / "warm")  # kernels in the cache: compiling takes memory too
     low, high = [], []
     for n in range(pairs):  # in turn, so that what else the machine does meets both
         low.append(run_once("quickstart", low_box, out / f"low-{n}"))
@@ -98,11 +87,8 @@ PATCH = ('domain.size=["0.32 mm", "0.32 mm", "{height}"]', "batches.particles=41
 
 
 def _on_ranks(scene: str, settings: Sequence[str], folder: pathlib.Path, ranks: int, launcher: str) -> dict:
-    command = [*shlex.split(launcher), str(ranks), sys.executable, "-m", "f2s_hpc", "run", scene, "--out", str(folder),
-               *(word for setting in settings for word in ("--set", setting))]
-    done = subprocess.run(command, env=launch_environment(os.environ), capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise F2SError(f"the run of {scene} ended with {done.returncode}: {done.stderr.strip()}")
+    command = launch.f2s("run", scene, "--out", str(folder), settings=settings)
+    launch.run(launch.on_ranks(launcher, ranks, command), f"the run of {scene}")
     return runs.read_summary(folder)
 
 

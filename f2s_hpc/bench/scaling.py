@@ -5,17 +5,15 @@ from __future__ import annotations
 import csv
 import json
 import math
-import os
 import pathlib
 import shlex
-import subprocess
 import sys
 from collections.abc import Sequence
 
+from f2s_hpc.bench import launch
 from f2s_hpc.config import load_scene
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.doctor import launch_environment
-from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.errors import InputError
 from f2s_hpc.io import runs
 
 COLUMNS = ("kind", "ranks", "cells", "steps", "step_s", "busy_s", "cell_steps_per_s_per_core", "imbalance",
@@ -49,11 +47,7 @@ def command_of(scene: str, overrides: Sequence[str], duration: str, ranks: int, 
 
 def measure(command: Sequence[str], folder: pathlib.Path) -> dict:
     """Run one command and return its summary with the times that it took; raises ``F2SError`` if it fails."""
-    done = subprocess.run(list(command), env=launch_environment(os.environ), capture_output=True, text=True,
-                          check=False, stdin=subprocess.DEVNULL)
-    if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or "no word").splitlines()[-1]
-        raise F2SError(f"{shlex.join(command[:3])} ... ended with {done.returncode}: {said}")
+    launch.run(command, f"{shlex.join(command[:3])} ...")
     times = json.loads((folder / "times.json").read_text(encoding="utf-8"))
     return runs.read_summary(folder) | times
 

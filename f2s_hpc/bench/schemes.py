@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 import shlex
-import subprocess
-import sys
 from collections.abc import Sequence
 
+from f2s_hpc.bench import launch
 from f2s_hpc.config import load_scene
-from f2s_hpc.doctor import launch_environment
 from f2s_hpc.errors import F2SError
 from f2s_hpc.io import runs
 
@@ -23,7 +20,6 @@ PAPER = {"cells": (2_737_800, 9_579_712), "startup_s": (51 * 60, 393 * 60), "sta
 RESULTS = {"dense_height_m": 1e6, "height_mean_m": 1e6, "height_p95_m": 1e6, "peeq_p50": 1.0, "peeq_p95": 1.0,
            "temperature_p50_degC": 1.0, "temperature_p95_degC": 1.0}
 
-
 LAYER = "0.2 mm"
 """Height that a batch may have to fit into the layers of both scenes."""
 
@@ -35,11 +31,8 @@ def batch_files(out: pathlib.Path) -> list[str]:
     """
     folder = out / "batches"
     if not folder.exists():
-        words = [sys.executable, "-m", "f2s_hpc", "particles", SCENES["recurring"], "--out", str(folder),
-                 "--set", f"domain.particle_layer_height={LAYER}"]
-        done = subprocess.run(words, env=launch_environment(os.environ), capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise F2SError(f"the batches could not be made: {done.stderr.strip()}")
+        launch.run(launch.f2s("particles", SCENES["recurring"], "--out", str(folder),
+                              settings=[f"domain.particle_layer_height={LAYER}"]), "making the batches")
     return sorted(str(path) for path in folder.glob("*.csv"))
 
 
@@ -53,9 +46,8 @@ def particles_of(scheme: str, files: Sequence[str]) -> list[str]:
 def command_of(scheme: str, files: Sequence[str], overrides: Sequence[str], ranks: int, folder: pathlib.Path,
                launcher: str) -> list[str]:
     """Return the command of one run."""
-    overrides = [*particles_of(scheme, files), *overrides]
-    run = [sys.executable, "-m", "f2s_hpc", "run", SCENES[scheme], "--out", str(folder)]
-    return [*shlex.split(launcher), str(ranks), *run, *(word for s in overrides for word in ("--set", s))]
+    settings = [*particles_of(scheme, files), *overrides]
+    return launch.on_ranks(launcher, ranks, launch.f2s("run", SCENES[scheme], "--out", str(folder), settings=settings))
 
 
 def measure(scheme: str, files: Sequence[str], overrides: Sequence[str], ranks: int, out: pathlib.Path, launcher: str,
@@ -68,9 +60,7 @@ def measure(scheme: str, files: Sequence[str], overrides: Sequence[str], ranks: 
     if not folder.exists():
         command = command_of(scheme, files, overrides, ranks, folder, launcher)
         say(shlex.join(command))
-        done = subprocess.run(command, env=launch_environment(os.environ), check=False, stdin=subprocess.DEVNULL)
-        if done.returncode:
-            raise F2SError(f"the run of the {scheme} scheme ended with {done.returncode}")
+        launch.run(command, f"the run of the {scheme} scheme", quiet=False)
     summary = runs.read_summary(folder)
     if summary["status"] != "complete":
         raise F2SError(f"{folder}: the run is {summary['status']}, not complete")
