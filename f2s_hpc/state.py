@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from f2s_hpc import fields
+from f2s_hpc import fields, mpi
 from f2s_hpc.grid.boundary import Boundary
 from f2s_hpc.grid.box import GHOST, Part
 from f2s_hpc.grid.decomposition import Decomposition
@@ -75,8 +75,9 @@ class State:
         return np.array([self.pool.offsets[n] for n in names], dtype=np.int64)
 
     def everything_active(self) -> None:
-        """Forget what was active, before material put in is exchanged; the next update looks everywhere."""
+        """Forget what was active, before material put in is exchanged; the next update looks everywhere. Collective."""
         self.active[:] = 1
+        self.pool.cover_all()
 
     def around(self, array: np.ndarray) -> np.ndarray:
         """Return, as ``active`` is, the blocks of all planes [k] that hold something of ``array``, and those near ends.
@@ -94,6 +95,8 @@ class State:
         """
         if self._untouched:
             self.active[:] = 0
+        planes = np.flatnonzero([plane.any() for plane in self.views["mass"]])
+        self.pool.cover(int(mpi.maximum(np.int64(planes.max(initial=0) + self.part.offset[2]))))
         self.pool.exchange(("mass",))
         where = self.around(self.views["mass"])
         self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), where)
@@ -135,6 +138,17 @@ class State:
             runs = activity.empty_list(2 * count, 4)
             activity.list_runs(active, row_length, runs)
         return runs, count
+
+    def highest_plane(self) -> int:
+        """Return the highest plane of cells (global k) that is active and awake on this rank; -1 if none is."""
+        return int(self._runs[self.run_count - 1, 0]) + self.part.offset[2] if self.run_count else -1
+
+    def release_work(self) -> None:
+        """Give back the memory of the fields that hold nothing between two remaps, until the next step.
+
+        What a cycle ends with, measuring and writing, then fits into the memory of the step.
+        """
+        self.pool.release(f.name for f in self.fields if not f.saved)
 
     @property
     def floor_plane(self) -> int | None:

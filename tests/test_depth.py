@@ -19,7 +19,7 @@ def test_a_linear_field():
     assert found.low[found.low >= -1e-12] == pytest.approx(np.arange(0, 60, 10) * 1e-6, abs=1e-12)
     assert found.median == pytest.approx(found.middle + 20e-6)
     assert found.mean == pytest.approx(found.middle + 20e-6)
-    assert found.volume == pytest.approx(np.full(8, 5 * 12 * DX**3))
+    assert found.volume == pytest.approx(np.full(8, 5 * 12 * DX**3), rel=1e-6, abs=0.0)
     # five levels of equal weight: 5 and 95 % lie within the outer ones
     assert found.percentiles[:, 0] == pytest.approx(found.low + 20e-6 + 0.5 * DX)
     assert found.percentiles[:, -1] == pytest.approx(found.high + 20e-6 - 0.5 * DX)
@@ -52,7 +52,7 @@ def test_layers_without_material_are_not_numbers_or_left_out():
     weight[:5] = weight[10:12] = 1.0
     found = depth_distribution(field, weight, DX, 0.0, layer=10e-6)
     assert found.median == pytest.approx([1.0, np.nan, 1.0], nan_ok=True)
-    assert found.volume == pytest.approx([20 * DX**3, 0.0, 8 * DX**3])
+    assert found.volume == pytest.approx([20 * DX**3, 0.0, 8 * DX**3], rel=1e-6, abs=0.0)
 
 
 def test_percentiles_of_equal_weights_are_the_usual_ones(rng):

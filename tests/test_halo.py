@@ -112,6 +112,54 @@ def test_exchange_touches_only_the_named_fields():
 
 
 @pytest.mark.mpi
+@pytest.mark.usefixtures("messages")
+def test_only_ghosts_up_to_the_highest_material_are_exchanged(monkeypatch):
+    """On all process grids, for cells and nodes; fails when ``top`` of ``GhostMap.part`` is taken for a global one."""
+    monkeypatch.setattr(halo, "HEADROOM", 1)
+    monkeypatch.setattr(halo, "STRIDE", 2)
+    for grid in process_grids():
+        state = State(Decomposition(Box(CELLS, 1e-6), grid), ALL_SYMMETRY, False)
+        part, names = state.part, ("mass", "velocity_x")
+        for highest, limit in ((3, 7), (5, 7), (6, 10)):  # one plane more, and two more at once when it grows
+            state.pool.cover(highest)
+            for name in names:
+                state.views[name][...] = np.nan
+                state.owned(name)[...] = 1.0
+            state.pool.exchange(names)
+            for name in names:
+                nodes = int(BY_NAME[name].location != CELL)
+                counts = part.node_count if nodes else part.count
+                index = [np.arange(n + 2 * GHOST) - GHOST + s for n, s in zip(counts, part.start)]
+                inside = [(i >= 0) & (i < n + nodes) for i, n in zip(index, CELLS)]
+                inside[2] &= index[2] < limit + nodes
+                owned = [(i >= s) & (i < s + n) for i, s, n in zip(index, part.start, counts)]
+                filled = np.einsum("k,j,i->kji", *inside[::-1]) | np.einsum("k,j,i->kji", *owned[::-1])
+                found = state.views[name][tuple(slice(0, n) for n in filled.shape)]
+                assert np.array_equal(~np.isnan(found), filled), (grid, name, highest)
+        state.pool.cover_all()
+        state.pool.exchange(names)
+        assert state.pool.top is None
+
+
+@pytest.mark.mpi
+def test_memory_of_work_fields_is_given_back_and_no_other():
+    """Big enough that each field has pages of its own; fails when ``release`` rounds its first page down."""
+    state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, False)
+    for view in state.views.values():
+        view[...] = 3.0
+    state.release_work()
+    saved = {f.name for f in state.fields if f.saved}
+    for name, view in state.views.items():
+        if name in saved:
+            assert (view == 3.0).all()
+        else:
+            assert np.count_nonzero(view) <= 2 * halo.mmap.PAGESIZE // 8
+            assert (view[1] != 3.0).any()
+    state.views["force_x"][...] = 2.0  # it can be written again
+    assert (state.views["force_x"] == 2.0).all()
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("cells", [CELLS, (12, 12, 12), (31, 13, 14)])
 def test_every_cell_and_node_has_one_owner(cells):
     """Fails when ``self.at_high`` in ``Part.node_count`` becomes ``self.at_low``: the extra node goes to the first."""

@@ -105,7 +105,7 @@ def test_fit_finds_the_rates_it_was_made_from():
             times.append(2e-3 + (7e-7, 5e-7)[kind] * (owned + 0.4 * ghosts))
     found = measured._fitted(rows, times, [SOLID, FLYING], (((0, 3),), 1), 1e9)
     assert found.per_step == pytest.approx(2e-3, rel=1e-6)
-    assert found.per_cell == {SOLID: pytest.approx(7e-7), FLYING: pytest.approx(5e-7)}
+    assert found.per_cell == pytest.approx({SOLID: 7e-7, FLYING: 5e-7}, rel=1e-6, abs=0.0)
     assert found.ghost_share == pytest.approx(0.4)
 
 

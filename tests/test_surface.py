@@ -68,7 +68,7 @@ def test_dense_height_is_volume_over_area():
     fraction = np.zeros((10, 2, 2), dtype=np.float32)
     fraction[:3] = 1.0
     fraction[5, 0, 0], fraction[6, 1, 1] = 1.0, 0.5
-    assert dense_height(fraction, DX, 3 * DX) == pytest.approx(1.5 / 4 * DX, rel=1e-12)
+    assert dense_height(fraction, DX, 3 * DX) == pytest.approx(1.5 / 4 * DX, rel=1e-12, abs=0.0)
     assert dense_height(fraction[:2], DX, 3 * DX) == pytest.approx(-DX)
 
 

@@ -121,7 +121,7 @@ def test_cylinder_brings_its_mass_and_energy():
     shapes.paint_cylinder(setup, 6.3, 2.25, 8.5, (0.0, 0.0, -100.0), 300.0)
     volume = 0.25 * math.pi * 6.3**2 * 6.25
     balance = measure.measure_balance(setup.state, setup.model, setup.ledger, 0)
-    assert balance["painted_volume_m3"] == pytest.approx(volume * 1e-9, rel=1e-9)
+    assert balance["painted_volume_m3"] == pytest.approx(volume * 1e-9, rel=1e-9, abs=0.0)
     kinetic = 0.5 * 8930.0 * volume * 1e-9 * 100.0**2
     assert balance["energy"]["brought_in"] == pytest.approx(kinetic, rel=1e-9)
     assert balance["energy"]["kinetic"] == pytest.approx(kinetic, rel=1e-9)

@@ -17,7 +17,7 @@ from f2s_hpc.cycles.insert import OVERFILL
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.kernels import paint
-from f2s_hpc.particles.batch import Batch, join
+from f2s_hpc.particles.batch import Batch, clipped_volume, join
 from f2s_hpc.state import State
 
 REACH = 3.0
@@ -77,6 +77,14 @@ class Flight:
         """Return the spheres where they are at ``time`` (s), each with its own velocity."""
         s, moved = self.spheres, self.velocity * (time - self.start)[:, None]
         return Batch(s.x + moved[:, 0], s.y + moved[:, 1], s.z + moved[:, 2], s.r, self.velocity)
+
+    def volume(self, time: float) -> float:
+        """Return the volume (m3) of the spheres in flight at ``time`` (s), cut by the walls of the box."""
+        if not self.count:
+            return 0.0
+        now, (width, depth, _) = self.at(time), self.extents
+        # cut by the side walls only, so all stand on the ground
+        return clipped_volume(Batch(now.x, now.y, now.r, now.r), width, depth, 2.0 * now.r.max())
 
     def launch(self, state: State, batch: Batch, velocity: tuple[float, float, float], time: float) -> int:
         """Let a batch (z from the bottom of the box, m) fly from ``time`` (s) on; return how many had to start higher.

@@ -238,6 +238,7 @@ class Simulation:
         clock = self.clock
         clock.cycle_start += duration
         clock.in_cycle = 0.0
+        self.state.release_work()
         row = self._row()
         self.rows.append(row)
         self.cycle += 1
@@ -284,7 +285,8 @@ class Simulation:
             "dt_limit": clock.limit, "particles": self.particles,
             "particles_moved": self.moved + (0 if self.flight is None else self.flight.raised),
             "particles_waiting": self.waiting.count,
-            "particles_in_flight": 0 if self.flight is None else self.flight.count}
+            "particles_in_flight": 0 if self.flight is None else self.flight.count,
+            "volume_in_flight_m3": 0.0 if self.flight is None else self.flight.volume(clock.time)}
         row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
         if self.tracers is not None:

@@ -106,13 +106,14 @@ class GhostMap:
     remote: np.ndarray
 
     def part(self, shape: tuple[int, int, int], count: tuple[int, int, int], layers: int,
-             axis: int | None) -> GhostMap:
+             axis: int | None, top: int | None = None) -> GhostMap:
         """Return the ghosts at most ``layers`` deep, all of them or only those straight along ``axis``.
 
-        ``shape``: (nz, ny, nx) of the local array, ``count``: (x, y, z) points owned.
+        ``shape``: (nz, ny, nx) of the local array, ``count``: (x, y, z) points owned; ``top``: leave out those at this
+        local plane and above.
         """
         places = np.unravel_index(self.local, shape)[::-1]
-        kept = np.ones(self.local.size, dtype=bool)
+        kept = np.ones(self.local.size, dtype=bool) if top is None else places[2] < top
         for a, (place, owned) in enumerate(zip(places, count)):
             depth = layers if axis in (None, a) else 0
             kept &= (place >= GHOST - depth) & (place < GHOST + owned + depth)

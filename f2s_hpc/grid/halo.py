@@ -3,12 +3,13 @@
 The fields of a rank live in one pool of memory, each a contiguous array of its own, as the kernels
 want them. PETSc star forests map ghosts to their owners: for few ghosts one over that pool, of every listed field, so
 that an exchange costs one message per neighbour however many fields it carries; for many one that all fields share.
-Only ghosts are touched: an empty box costs nothing.
+Only ghosts are touched, and of those only the ones below the highest material: an empty box costs nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import mmap
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from petsc4py import PETSc
@@ -24,6 +25,12 @@ PACKED = 16384
 That saves latency, and costs a map of every ghost of every field. With more ghosts messages are so long that latency
 is nothing, and each field has its own; all fields on cells (or nodes) then share one map."""
 
+HEADROOM = 4
+"""Planes above the highest active one whose ghosts are exchanged at least; activity grows by two in a step."""
+
+STRIDE = 24
+"""Planes by which the exchange grows at once, so that its maps are made anew a few times in a run."""
+
 _ALIGNMENT = 8
 _living: list[Pool] = []
 
@@ -32,7 +39,7 @@ class Pool:
     """The memory of all fields of this rank: one array, zero at the start, one view per field.
 
     Pages that nothing touches are never made real by the operating system, so the empty part of a
-    tall box costs no memory.
+    tall box costs no memory. ``top``: only ghosts below this plane of cells (global k) are exchanged; None: all.
     """
 
     def __init__(self, decomposition: Decomposition, names: Sequence[str]) -> None:
@@ -45,7 +52,10 @@ class Pool:
             # the odd multiples of a cache line keep equal indices of different fields out of one cache set
             self.offsets[name] = end + 9 * _ALIGNMENT * (number % 7)
             end = -(-(self.offsets[name] + int(np.prod(self._shape(part, name)))) // _ALIGNMENT) * _ALIGNMENT
-        self.memory = np.zeros(end)
+        private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+        self._pages = mmap.mmap(-1, max(end, 1) * 8, **private)
+        self.memory = np.frombuffer(self._pages, dtype=float)
+        self.top: int | None = None
         self.views = {name: self._view(part, name) for name in self.names}
         self._offsets_of = mpi.all_gather(self.offsets)
         self._forests: dict[tuple, PETSc.SF] = {}
@@ -60,6 +70,37 @@ class Pool:
         shape = self._shape(part, name)
         start = self.offsets[name]
         return self.memory[start:start + int(np.prod(shape))].reshape(shape)
+
+    def release(self, names: Iterable[str]) -> None:
+        """Give the memory of the named fields back until they are written again; what they hold is lost.
+
+        Where the operating system cannot do that, nothing happens.
+        """
+        if not hasattr(mmap, "MADV_DONTNEED"):
+            return
+        for name in names:
+            start = 8 * self.offsets[name]
+            first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+            length = (start + self.views[name].nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - first
+            if length > 0:
+                self._pages.madvise(mmap.MADV_DONTNEED, first, length)
+
+    def cover(self, plane: int) -> None:
+        """Exchange the ghosts up to ``plane`` (global k) and somewhat above: the highest plane with material.
+
+        Everything above is void, on all ranks, and ghosts there are zero already. Collective, the same on all ranks.
+        """
+        if self.top is None or plane + 1 + HEADROOM > self.top:
+            self._restart(plane + 1 + HEADROOM + STRIDE)
+
+    def cover_all(self) -> None:
+        """Exchange all ghosts until :meth:`cover` is called. Collective."""
+        if self.top is not None:
+            self._restart(None)
+
+    def _restart(self, top: int | None) -> None:
+        self.top = top
+        self.destroy()
 
     def exchange(self, names: tuple[str, ...], layers: int = GHOST, axis: int | None = None) -> None:
         """Fill the ghosts of the named fields that other ranks own: ``layers`` deep, all or those along ``axis``."""
@@ -93,8 +134,10 @@ class Pool:
     def _ghosts(self, location: str, layers: int, axis: int | None) -> GhostMap:
         part, cells = self.decomposition.part, location == CELL
         owners = self.decomposition.cell_ghosts if cells else self.decomposition.node_ghosts
+        # nodes have one plane more than cells
+        top = None if self.top is None else self.top + (not cells) - part.offset[2]
         return owners.part(part.cell_shape if cells else part.node_shape, part.count if cells else part.node_count,
-                           layers, axis)
+                           layers, axis, top)
 
     def _packed(self, names: tuple[str, ...], ghosts: dict[str, GhostMap]) -> tuple[np.ndarray, np.ndarray]:
         """Return where the ghosts of all named fields lie in the pool, and rank and place there of their owners."""

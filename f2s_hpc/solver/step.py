@@ -57,9 +57,11 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
     while True:
         displaced, limits, power = since.steps > 0, clock.limits, np.zeros(1, dtype=np.int64)
         limits.wave, limits.wave_cell = lagrange.forces(state, model, clock.dt or 0.0, power, displaced)
+        limits.highest = state.highest_plane()
         size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle, since)
         _refuse_collapse(state, model, size, limits)
         dt, since, clock.stop = size.dt, size.since, bool(size.rates[4])
+        state.pool.cover(int(size.rates[5]))
         ledger.add_power("hourglass_power", power[0], dt)
 
         # from the middle of the last step to the middle of this one; at the start only the second half

@@ -26,10 +26,12 @@ class Limits:
     gradient: float = 0.0
     gradient_cell: int = 0
     stop: bool = False  # this rank asks for a stop (signal, wall time)
+    highest: int = -1  # plane of cells (global k): none above it is active
 
     def over_ranks(self) -> np.ndarray:
-        """Return [wave, light speed, heavy speed, gradient, stop], largest over all ranks; NaN counts as infinite."""
-        local = np.array([self.wave, self.light_speed, self.heavy_speed, self.gradient, float(self.stop)])
+        """Return [wave, light speed, heavy speed, gradient, stop, highest], largest of all ranks; NaN is infinite."""
+        local = np.array([self.wave, self.light_speed, self.heavy_speed, self.gradient, float(self.stop),
+                          float(self.highest)])
         return mpi.maximum(np.where(np.isnan(local), np.inf, local))
 
 
@@ -85,7 +87,7 @@ def choose(state: State, model: Model, limits: Limits, previous: float | None, r
         flat = limits.wave_cell if which < 3 else limits.gradient_cell
         cell = locate(state, local if math.isfinite(local) else math.nan, math.nan, flat)
         raise UnstableStep(f"the {name} is not finite at cell (i, j, k) = {cell}")
-    wave, light, heavy, gradient, _ = rates
+    wave, light, heavy, gradient = rates[:4]
     s = model.settings
     speed = max(light, heavy)
     sizes = [s.courant * model.dx / wave if wave > 0.0 else math.inf,

@@ -25,8 +25,10 @@ BASELINE = 268 * 2**20
 
 250 and 285 MiB on two machines with the same packages; this is the middle."""
 
-TEMPORARY = 80
-"""Per local cell: arrays made while a batch is painted, a cycle is measured or a frame is written (bytes)."""
+TEMPORARY = 8
+"""Per local cell: the mass of spheres that are put onto the grid (bytes).
+
+What a cycle is measured and a frame is written with takes less than the fields of the step that are given back then."""
 
 MAP = 33
 """Per ghost of another rank and exchanged field: indices of the star forests here and there, and buffers (bytes)."""
