@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from itertools import product
 
 import numpy as np
@@ -143,7 +144,7 @@ def test_only_ghosts_up_to_the_highest_material_are_exchanged(monkeypatch):
 
 @pytest.mark.mpi
 def test_memory_of_work_fields_is_given_back_and_no_other():
-    """Big enough that each field has pages of its own; fails when ``release`` rounds its first page down."""
+    """Big enough that each field has pages of its own; fails when ``give_back`` rounds its first page down."""
     state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, False)
     for view in state.views.values():
         view[...] = 3.0
@@ -153,7 +154,7 @@ def test_memory_of_work_fields_is_given_back_and_no_other():
         if name in saved:
             assert (view == 3.0).all()
         else:
-            assert np.count_nonzero(view) <= 2 * halo.mmap.PAGESIZE // 8
+            assert np.count_nonzero(view) <= 2 * mmap.PAGESIZE // 8
             assert (view[1] != 3.0).any()
     state.views["force_x"][...] = 2.0  # it can be written again
     assert (state.views["force_x"] == 2.0).all()

@@ -35,7 +35,7 @@ def compiled(tmp_path_factory):
 @pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize(("cell_um", "ranks"), [(12, 1), (12, 2), (5, 1), (5, 2)])
 def test_prediction_is_true_within_ten_percent(tmp_path, cell_um, ranks):
-    """Fails if a field, the ghosts or the maps are forgotten: at 5 um they are a quarter of it."""
+    """Fails if a field, the ghosts or the maps are forgotten: at 5 um they are a fifth of it."""
     overrides = [f"domain.cell_size={cell_um} um", *SHORT]
     scene = load_scene("section4", overrides)
     box = Box(scene.domain.cells, scene.domain.cell_size)
@@ -46,7 +46,7 @@ def test_prediction_is_true_within_ten_percent(tmp_path, cell_um, ranks):
     measured = runs.read_summary(tmp_path / "run")["peak_memory_bytes_per_rank"]
     assert expected.total == pytest.approx(measured, rel=0.1)
     if cell_um == 5:
-        assert expected.arrays + expected.maps > 0.25 * measured
+        assert expected.arrays + expected.maps > 0.2 * measured
 
 
 @pytest.mark.usefixtures("compiled")

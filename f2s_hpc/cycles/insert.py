@@ -14,6 +14,7 @@ import numpy as np
 from f2s_hpc import mpi
 from f2s_hpc.fields import ORIGIN, VELOCITY
 from f2s_hpc.grid.box import GHOST
+from f2s_hpc.grid.pages import sparse_zeros
 from f2s_hpc.kernels import momentum, paint, remap
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.solver.ledger import Ledger
@@ -162,12 +163,12 @@ def paint_arrivals(state: State, model: Model, arrived: tuple[Batch, tuple[float
 
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
          ledger: Ledger, report: InsertReport) -> None:
-    added = np.zeros(state.part.cell_shape)
+    added = sparse_zeros(state.part.cell_shape)
     spheres = (batch.x, batch.y, batch.z, batch.r)
     if batch.velocity is None:
         paint.add_spheres(*spheres, state.part.offset, state.part.box.dx, added)
     else:
-        velocity = tuple(np.zeros(state.part.cell_shape) for _ in range(3))
+        velocity = tuple(sparse_zeros(state.part.cell_shape) for _ in range(3))
         paint.add_moving_spheres(*spheres, batch.velocity, state.part.offset, state.part.box.dx, added, *velocity)
     quanta = add_material(state, model, added, velocity, temperature, ledger)
     report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3

@@ -8,7 +8,6 @@ Only ghosts are touched, and of those only the ones below the highest material: 
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -18,6 +17,7 @@ from f2s_hpc import mpi
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Decomposition, GhostMap
+from f2s_hpc.grid.pages import anonymous_pages, give_back
 
 PACKED = 16384
 """Ghosts of a rank (of one field) up to which all fields of an exchange go in one message per neighbour.
@@ -28,7 +28,7 @@ is nothing, and each field has its own; all fields on cells (or nodes) then shar
 HEADROOM = 4
 """Planes above the highest active one whose ghosts are exchanged at least; activity grows by two in a step."""
 
-STRIDE = 24
+STRIDE = 8
 """Planes by which the exchange grows at once, so that its maps are made anew a few times in a run."""
 
 _ALIGNMENT = 8
@@ -52,8 +52,7 @@ class Pool:
             # the odd multiples of a cache line keep equal indices of different fields out of one cache set
             self.offsets[name] = end + 9 * _ALIGNMENT * (number % 7)
             end = -(-(self.offsets[name] + int(np.prod(self._shape(part, name)))) // _ALIGNMENT) * _ALIGNMENT
-        private = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
-        self._pages = mmap.mmap(-1, max(end, 1) * 8, **private)
+        self._pages = anonymous_pages(end)
         self.memory = np.frombuffer(self._pages, dtype=float)
         self.top: int | None = None
         self.views = {name: self._view(part, name) for name in self.names}
@@ -72,18 +71,9 @@ class Pool:
         return self.memory[start:start + int(np.prod(shape))].reshape(shape)
 
     def release(self, names: Iterable[str]) -> None:
-        """Give the memory of the named fields back until they are written again; what they hold is lost.
-
-        Where the operating system cannot do that, nothing happens.
-        """
-        if not hasattr(mmap, "MADV_DONTNEED"):
-            return
+        """Give the memory of the named fields back until they are written again; what they hold is lost."""
         for name in names:
-            start = 8 * self.offsets[name]
-            first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
-            length = (start + self.views[name].nbytes) // mmap.PAGESIZE * mmap.PAGESIZE - first
-            if length > 0:
-                self._pages.madvise(mmap.MADV_DONTNEED, first, length)
+            give_back(self._pages, 8 * self.offsets[name], 8 * self.offsets[name] + self.views[name].nbytes)
 
     def cover(self, plane: int) -> None:
         """Exchange the ghosts up to ``plane`` (global k) and somewhat above: the highest plane with material.

@@ -1,0 +1,35 @@
+"""Memory that is real only where it was written, and that can be given back."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Sequence
+
+import numpy as np
+
+_PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+
+
+def anonymous_pages(count: int) -> mmap.mmap:
+    """Return memory of ``count`` float64 numbers, all zero, straight from the operating system."""
+    return mmap.mmap(-1, 8 * max(count, 1), **_PRIVATE)
+
+
+def sparse_zeros(shape: Sequence[int]) -> np.ndarray:
+    """Return zeros [...] (float64) that take memory only where they are written, and give it back when dropped.
+
+    ``np.zeros`` does so too, unless the C library has kept memory to lay them in, which it then fills with zeros.
+    """
+    count = int(np.prod(shape))
+    return np.frombuffer(anonymous_pages(count), dtype=float, count=count).reshape(shape)
+
+
+def give_back(pages: mmap.mmap, start: int, end: int) -> None:
+    """Give the whole pages among bytes ``start``..``end`` back: they are zero, and no memory until they are written.
+
+    Where the operating system cannot do that, nothing happens.
+    """
+    first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+    length = end // mmap.PAGESIZE * mmap.PAGESIZE - first
+    if length > 0 and hasattr(mmap, "MADV_DONTNEED"):
+        pages.madvise(mmap.MADV_DONTNEED, first, length)
