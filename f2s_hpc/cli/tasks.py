@@ -7,7 +7,6 @@ import os
 import pathlib
 
 from f2s_hpc import mpi
-from f2s_hpc.analysis.stream import draw_batches
 from f2s_hpc.analysis.table import format_table
 from f2s_hpc.config import describe, load_scene, scene_hash
 from f2s_hpc.config.load import parse_scene
@@ -161,6 +160,8 @@ def write_particles(scene: Scene, out: str) -> int:
             write_csv(path, batch)
             volume = clipped_volume(batch, x, y, z)
             lines.append(f"{path}: {batch.count} spheres, {1e6 * volume / (x * y):.2f} um of dense height")
+        from f2s_hpc.analysis.stream import draw_batches  # (scipy.stats: 30 MB that a run has no use for)
+
         draw_batches(plan.batches, scene.domain.size[0], scene.particles.speed, folder / BATCH_PICTURE)
         return [*lines, f"picture {folder / BATCH_PICTURE}"]
 

@@ -10,7 +10,6 @@ of each other, and the first impact would call all of them down.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from f2s_hpc import mpi
 from f2s_hpc.cycles.insert import OVERFILL
@@ -103,8 +102,6 @@ class Flight:
 
     def _free_places(self, state: State, batch: Batch, flying: Batch) -> tuple[Batch, int]:
         batch = batch.chosen(slice(None))
-        tree = cKDTree(np.stack([flying.x, flying.y, flying.z], axis=1)) if flying.count else None
-        largest = flying.r.max(initial=0.0)
         raised = np.zeros(batch.count, dtype=np.bool_)
         waiting = np.ones(batch.count, dtype=np.bool_)
         while waiting.any():
@@ -112,12 +109,8 @@ class Flight:
             paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, state.part.offset, self.dx,
                                   state.owned_window(), state.views["mass"], overlap)
             hit = mpi.maximum(overlap) > 0.0
-            for index in np.flatnonzero(waiting & ~hit) if tree is not None else ():
-                here = np.array([batch.x[index], batch.y[index], batch.z[index]])
-                near = tree.query_ball_point(here, batch.r[index] + largest)
-                gaps = [np.hypot(np.hypot(flying.x[o] - here[0], flying.y[o] - here[1]), flying.z[o] - here[2])
-                        - flying.r[o] for o in near]
-                hit[index] = min(gaps, default=np.inf) < batch.r[index]
+            paint.spheres_meet(batch.x, batch.y, batch.z, batch.r, waiting & ~hit, flying.x, flying.y, flying.z,
+                               flying.r, hit)
             batch.z[hit] += CLEARANCE * self.dx
             raised |= hit
             waiting = hit
@@ -132,6 +125,8 @@ class Flight:
         v = self.velocity
         if self.count < 2 or (v == v[0]).all():
             return
+        from scipy.spatial import cKDTree  # (20 MB on every rank, for jets only)
+
         now = self.at(time)
         places = np.stack([now.x, now.y, now.z], axis=1)
         slowest = max(np.abs(v[:, 2]).min(), 1e-3)
@@ -187,6 +182,8 @@ class Flight:
         places = np.stack([now.x, now.y, now.z], axis=1)[rows]
         if rows.size < 2 or (self.velocity == self.velocity[0]).all():
             return held
+        from scipy.spatial import cKDTree  # (for jets only)
+
         for a, b in sorted(cKDTree(places).query_pairs(2.0 * now.r[rows].max())):
             low, high = sorted((rows[a], rows[b]), key=lambda s: (now.z[s], s))
             across = np.hypot(now.x[low] - now.x[high], now.y[low] - now.y[high])

@@ -13,7 +13,6 @@ import numpy as np
 
 import f2s_hpc
 from f2s_hpc import mpi
-from f2s_hpc.analysis import picture
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
@@ -116,6 +115,8 @@ class RunFolder:
         """Draw the picture from the newest frame that holds what it needs; rank 0 only."""
         path = None
         if mpi.is_root() and self.scene.output.picture:
+            from f2s_hpc.analysis import picture  # (what it loads should not lie beside the fields of a run)
+
             numbers = runs.list_frames(self.path)
             needed = ["volume_fraction", "peeq", "temperature", "speed"]
             if numbers and set(needed) <= set(self.scene.output.fields):

@@ -20,6 +20,7 @@ from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.tracers import Tracers, check_same
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import Batch, BatchPlan, join
 from f2s_hpc.solver import sleep
@@ -252,6 +253,7 @@ class Simulation:
         self.folder.write_tables(self.rows, self.summary())
         if output.checkpoints or clock.stop:
             self._checkpoint()
+        trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
         t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"

@@ -6,7 +6,6 @@ the cells, with one node more on the last rank of each axis.
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +18,7 @@ from petsc4py import PETSc  # noqa: E402  (PETSc reads its options at import)
 from f2s_hpc import mpi  # noqa: E402
 from f2s_hpc.errors import InputError  # noqa: E402
 from f2s_hpc.grid.box import GHOST, Box, Part  # noqa: E402
+from f2s_hpc.grid.pages import trim_heap  # noqa: E402
 
 _RANK_STRIDE = float(2**36)
 
@@ -120,17 +120,6 @@ class GhostMap:
         return GhostMap(self.local[kept], self.rank[kept], self.remote[kept])
 
 
-def _give_back() -> None:
-    """Return freed memory to the operating system, where the C library can (glibc).
-
-    A DMDA takes some 100 bytes per cell while it is made. MPI libraries make the C library keep what is freed; fields
-    would be laid into it, and the pages of an empty box be real ones.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
-
-
 class Decomposition:
     """The distributed box: this rank's :class:`Part` and the ghost maps of cells and nodes.
 
@@ -153,7 +142,8 @@ class Decomposition:
         self.node_ghosts = self._ghost_map(node_da, self.part.node_shape)
         cell_da.destroy()
         node_da.destroy()
-        _give_back()
+        # a DMDA takes some 100 bytes per cell while it is made; fields would be laid into what is kept of that
+        trim_heap()
 
     def _create(self, sizes: tuple[int, ...], ranges: list[list[int]]) -> PETSc.DMDA:
         ghosted = PETSc.DM.BoundaryType.GHOSTED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 from collections.abc import Sequence
 
@@ -33,3 +34,14 @@ def give_back(pages: mmap.mmap, start: int, end: int) -> None:
     length = end // mmap.PAGESIZE * mmap.PAGESIZE - first
     if length > 0 and hasattr(mmap, "MADV_DONTNEED"):
         pages.madvise(mmap.MADV_DONTNEED, first, length)
+
+
+def trim_heap() -> None:
+    """Return freed memory to the operating system, where the C library can (glibc).
+
+    MPI libraries make the C library keep what is freed. Arrays made for a moment would stay beside the fields of the
+    next step, and fields would be laid into them, so that the pages of an empty box were real ones.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)

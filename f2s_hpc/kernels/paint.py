@@ -82,6 +82,20 @@ def spheres_near_material(x, y, z, reach, velocity, same, offset, dx, window, ma
 
 
 @kernel
+def spheres_meet(x, y, z, r, chosen, others_x, others_y, others_z, others_r, meet):
+    """Set ``meet[s]`` (bool) where the chosen sphere s overlaps one of the others; places and radii in one unit."""
+    for s in range(x.size):
+        if not chosen[s]:
+            continue
+        for o in range(others_x.size):
+            a, b, c = others_x[o] - x[s], others_y[o] - y[s], others_z[o] - z[s]
+            both = others_r[o] + r[s]
+            if a * a + b * b + c * c < both * both:
+                meet[s] = True
+                break
+
+
+@kernel
 def add_spheres(x, y, z, r, offset, dx, added):
     """Add the volume fractions of all spheres to ``added``, a local array [k, j, i] with ghosts.
 

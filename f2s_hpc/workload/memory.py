@@ -20,10 +20,10 @@ from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.grid.halo import PACKED
 from f2s_hpc.particles.batch import BatchPlan
 
-BASELINE = 268 * 2**20
+BASELINE = 250 * 2**20
 """Interpreter, numpy, numba with all compiled kernels, PETSc, MPI and HDF5, before any field is allocated (bytes).
 
-250 and 285 MiB on two machines with the same packages; this is the middle."""
+235 to 265 MiB, by machine and rank, with the same packages."""
 
 TEMPORARY = 8
 """Per local cell: the mass of spheres that are put onto the grid (bytes).
