@@ -83,11 +83,16 @@ class Simulation:
         arrays, saved = checkpoint.read_checkpoint(path, requests)
         check_same(self.scene.output.tracers, saved.get("tracers"))
         for name in state.saved:
-            state.owned(name)[...] = arrays[name]
+            owned, values = state.owned(name), arrays.pop(name)
+            # what is left unwritten takes no memory; -0 is something too
+            for k in np.flatnonzero(values.view(np.uint64).any(axis=(1, 2))):
+                owned[k] = values[k]
         state.settle()
         if self.tracers is not None:
             self.tracers.restore(saved["tracers"], arrays)
         self._restore(saved)
+        del arrays, values
+        trim_heap()
 
     def _restore(self, saved: dict) -> None:
         clock = self.clock
