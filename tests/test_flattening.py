@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from f2s_hpc.analysis.flattening import (
     mean_difference,
     regression,
 )
+from f2s_hpc.analysis.section_figures import Frame, particle_boundaries
 from f2s_hpc.errors import InputError
 
 DX = 1e-6
@@ -86,6 +89,19 @@ def test_ellipses_in_a_section():
     assert (found.clearness > 1.0).all()
     # particles whose centre lies below the substrate top are substrate
     assert section_particles(peeq, np.ones_like(peeq), DX, ground=66).width.size == 1
+
+
+def test_the_figure_of_a_cut_section_numbers_what_can_be_seen(tmp_path):
+    """A long section is cut: fails when a particle beyond the cut is given a place, the mean of nothing."""
+    peeq, _ = ridged_ellipses()
+    whole = section_particles(peeq, np.ones_like(peeq), DX, ground=10)
+    cut = (slice(None), slice(0, 130))  # the second ellipse lies beyond
+    found = replace(whole, labels=whole.labels[cut], boundaries=whole.boundaries[cut])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        particle_boundaries(tmp_path / "cut.png", np.ones_like(peeq)[cut], peeq[cut], found,
+                            Frame("x", 0.0, -10e-6, DX, 50e-6))
+    assert (tmp_path / "cut.png").stat().st_size > 5000
 
 
 def test_a_particle_on_the_surface_has_no_clear_boundary():

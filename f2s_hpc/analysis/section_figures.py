@@ -85,9 +85,9 @@ def particle_boundaries(path: str | os.PathLike, fraction: np.ndarray, peeq: np.
         measured = found.labels > 0
         _overlay(axes, measured, look.SERIES[0], frame, 0.35)
         _interface(axes, fraction, frame)
-        for number in range(1, found.width.size + 1):
+        left, _, low, _ = frame.extent(fraction.shape)
+        for number in np.unique(found.labels[measured]):  # a long section is cut to what can be seen
             rows, columns = np.nonzero(found.labels == number)
-            left, _, low, _ = frame.extent(fraction.shape)
             axes.text(left + (columns.mean() + 0.5) * frame.dx * MICRO, low + (rows.mean() + 0.5) * frame.dx * MICRO,
                       str(number), fontsize=7, ha="center", va="center", color="white", fontweight="bold")
         axes.set(xlabel=f"{frame.axis} (µm)", ylabel="z (µm)", title=f"PEEQ, contrast equalised; section at "
