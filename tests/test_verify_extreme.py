@@ -60,7 +60,7 @@ def test_mass_floor_brings_no_energy_in():
 
 
 def test_mass_that_leaves_is_counted_to_1e_10():
-    """Found by the fuzz: 1700 steps of a slow outflow; fails if ``flux.through_plane`` rounds towards zero."""
+    """Found by the fuzz: 1700 steps of a slow outflow; fails if ``flux.mass_through_plane`` rounds towards zero."""
     text = fuzz.scene_text(1, 245).replace('y_high = "outflow"', 'y_high = "free"')
     outcome = watch.run_scene("slow outflow", text)
     assert outcome.verdict == watch.STABLE

@@ -180,28 +180,40 @@ def mass_fluxes(runs, count, window, shape, axis, second, density, mass, fractio
 
 
 @kernel
-def through_plane(mass_flux, plane, shape, lows, highs, axis, outward, u, v, w, mass_quantum, energy_quantum):
-    """Return mass and kinetic energy that leave through one plane of faces normal to ``axis``.
+def mass_through_plane(mass_flux, plane, shape, lows, highs, axis, outward, quantum):
+    """Return the mass that leaves through one plane of faces normal to ``axis``, in units of ``quantum`` (full cells).
 
-    Mass in units of ``mass_quantum`` (full cells), energy in units of ``energy_quantum`` (J per kg of a full
-    cell), both as exact integers. ``lows``, ``highs``: index bounds of the two other axes, lower axis first;
+    An exact integer. ``lows``, ``highs``: index bounds of the cells along the two other axes, lower axis first;
     ``outward``: +1 on a high side, -1 on a low one.
     """
-    ny, nx = shape
-    strides = (1, nx + 1, (nx + 1) * (ny + 1))
-    p, q = (strides[1], strides[2]) if axis == 0 else ((strides[0], strides[2]) if axis == 1 else
-                                                       (strides[0], strides[1]))
-    mass, energy = np.int64(0), np.int64(0)
+    strides = (1, shape[1] + 1, (shape[1] + 1) * (shape[0] + 1))
+    p, q = strides[0 if axis else 1], strides[1 if axis == 2 else 2]
+    total = np.int64(0)
+    for b in range(lows[1], highs[1]):
+        for a in range(lows[0], highs[0]):
+            left = outward * mass_flux[plane * strides[axis] + a * p + b * q]
+            if left != 0.0:
+                total += np.int64(math.floor(left / quantum + 0.5))
+    return total
+
+
+@kernel
+def energy_through_plane(mass_flux, plane, shape, lows, highs, axis, outward, weights, u, v, w, quantum):
+    """Return the kinetic energy that leaves with the nodes' present velocity, in units of ``quantum`` (J, full cells).
+
+    An exact integer. Each node of the plane gives a quarter of what passes the four faces around it. ``lows``,
+    ``highs``: index bounds of the nodes along the two other axes, lower axis first; ``weights``: per axis, the share of
+    each plane of nodes that lies inside the box; ``outward`` as in :func:`mass_through_plane`.
+    """
+    strides = (1, shape[1] + 1, (shape[1] + 1) * (shape[0] + 1))
+    p, q = strides[0 if axis else 1], strides[1 if axis == 2 else 2]
+    along, across = weights[0 if axis else 1], weights[1 if axis == 2 else 2]
+    total = np.int64(0)
     for b in range(lows[1], highs[1]):
         for a in range(lows[0], highs[0]):
             n = plane * strides[axis] + a * p + b * q
-            left = outward * mass_flux[n]
-            if left == 0.0:
-                continue
-            square = 0.0
-            for component in (u, v, w):
-                mean = 0.25 * ((component[n] + component[n + p]) + (component[n + q] + component[n + p + q]))
-                square += mean * mean
-            mass += np.int64(math.floor(left / mass_quantum + 0.5))
-            energy += np.int64(math.floor(0.5 * left * square / energy_quantum + 0.5))
-    return mass, energy
+            left = 0.25 * outward * ((mass_flux[n] + mass_flux[n - p]) + (mass_flux[n - q] + mass_flux[n - p - q]))
+            if left != 0.0:
+                inside = along[a] * across[b] * left
+                total += np.int64(math.floor(0.5 * inside * (u[n] * u[n] + v[n] * v[n] + w[n] * w[n]) / quantum + 0.5))
+    return total

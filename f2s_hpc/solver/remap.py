@@ -39,7 +39,9 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     state.exchange(state.carried_cells, axis=order[0])
     for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)
+        _count_energy_out(state, model, axis, ledger)
         _sweep_nodes(state, model, axis, lost)
+        _count_energy_out(state, model, axis, ledger)
         _sweep_cells(state, model, axis, done)
         done |= 1 << axis
         if position == 2:
@@ -78,22 +80,40 @@ def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) ->
     flux.mass_fluxes(runs, count, window, shape, axis, float(model.settings.second_order), density, *arrays[3:],
                      state.flat["mass_flux"])
     state.boundary.stop_inflow(axis, state.views["volume_flux"], state.views["mass_flux"])
-    _count_losses(state, model, axis, ledger)
+    _count_mass_out(state, model, axis, ledger)
 
 
-def _count_losses(state: State, model: Model, axis: int, ledger: Ledger) -> None:
-    """Enter what leaves through open faces into the ledger."""
-    k0, k1, j0, j1, i0, i1 = state.cell_window()
+def _outflow(state: State, axis: int) -> list[tuple]:
+    """Return what the kernels of outflow take first, for each open side normal to ``axis`` that this rank touches."""
+    return [(state.flat["mass_flux"], state.boundary.wall_plane(side), state.part.cell_shape[1:],
+             1.0 if SIDES.index(side) % 2 else -1.0) for side in state.boundary.open_sides(axis)]
+
+
+def _across(window: tuple[int, ...], axis: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the low and the high bounds of a window along the two axes that are not ``axis``."""
+    k0, k1, j0, j1, i0, i1 = window
     bounds = [(i0, i1), (j0, j1), (k0, k1)]
     del bounds[axis]
-    lows, highs = tuple(b[0] for b in bounds), tuple(b[1] for b in bounds)
-    for side in state.boundary.open_sides(axis):
-        outward = 1.0 if SIDES.index(side) % 2 else -1.0
-        mass, energy = flux.through_plane(
-            state.flat["mass_flux"], state.boundary.wall_plane(side), state.part.cell_shape[1:], lows, highs, axis,
-            outward, *state.velocity, model.mass_quantum, model.energy_quantum / model.cell_mass)
-        ledger.add("mass_left", mass)
-        ledger.add("through_faces", energy)
+    return tuple(b[0] for b in bounds), tuple(b[1] for b in bounds)
+
+
+def _count_mass_out(state: State, model: Model, axis: int, ledger: Ledger) -> None:
+    """Enter the mass that leaves through open faces into the ledger."""
+    for flux_array, plane, shape, outward in _outflow(state, axis):
+        ledger.add("mass_left", flux.mass_through_plane(flux_array, plane, shape, *_across(state.cell_window(), axis),
+                                                        axis, outward, model.mass_quantum))
+
+
+def _count_energy_out(state: State, model: Model, axis: int, ledger: Ledger) -> None:
+    """Enter half of the kinetic energy that leaves through open faces into the ledger; before and after the nodes move.
+
+    The dual flux takes half of what leaves from the node on the side, with the velocity that it had; the other half was
+    in the node's outer half, of which nothing remains, and goes with the velocity that it gets.
+    """
+    for flux_array, plane, shape, outward in _outflow(state, axis):
+        ledger.add("through_faces", flux.energy_through_plane(
+            flux_array, plane, shape, *_across(state.node_window(), axis), axis, outward, state.boundary.weights,
+            *state.velocity, 2.0 * model.energy_quantum / model.cell_mass))
 
 
 def _sweep_nodes(state: State, model: Model, axis: int, lost: np.ndarray) -> None:
