@@ -71,9 +71,10 @@ FIELDS: tuple[Field, ...] = (
     Field("lost_energy", NODE, "m2/s2", "twice the kinetic energy, per mass of a full node, that remap and light-node "
           "exchange took in the last step; the next one turns it into heat", ghosted=True, saved=True),
     _work("nodal_mass", "1", "mass of the node over that of a node among full cells"),
-    _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange"),
-    _work("force_y", "N", "y force on the node; likewise"),
-    _work("force_z", "N", "z force on the node; likewise"),
+    _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange; after "
+          "that, volume (in cells) through the low face: material in a sweep, swept in a step; heat in conduction"),
+    _work("force_y", "N", "y force on the node, and its velocity change"),
+    _work("force_z", "N", "z force on the node, and its velocity change"),
     _work("sweep_x", "1", "volume (in cells) swept by the low x face of the cell since the last remap"),
     _work("sweep_y", "1", "volume (in cells) swept by the low y face of the cell since the last remap"),
     _work("sweep_z", "1", "volume (in cells) swept by the low z face of the cell since the last remap"),
@@ -82,7 +83,6 @@ FIELDS: tuple[Field, ...] = (
     _work("displacement_z", "1", "z displacement of the node; likewise"),
     _work("viscous_pressure", "Pa", "shock viscosity of the cell in the present forces"),
     _work("hourglass_power", "W", "power that hourglass control takes in the cell in the present forces"),
-    _work("volume_flux", "1", "material volume (in cells) through the low face in this sweep; heat in conduction"),
     _work("mass_flux", "1", "mass (in full cells) through the low face of the cell in this sweep; before, divergence"),
     _work("dual_flux", "1", "mass (in full nodes) through the low side of the node in the present sweep; before, lost "
           "energy of the node (J/kg)"),
@@ -93,6 +93,9 @@ BY_NAME = {field.name: field for field in FIELDS}
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
+VOLUME_FLUX = FORCE[0]
+"""Forces are read last when light nodes are calmed. From then to the next forces the volume that passes through faces
+lies in place of the first."""
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
 DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
 ORIGIN = "particle_fraction"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from f2s_hpc.fields import VOLUME_FLUX
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import conduction
 from f2s_hpc.solver.model import Model
@@ -42,7 +43,7 @@ def _conduct(state: State, model: Model, dt: float, listed: tuple, window: tuple
     substeps = max(1, math.ceil(number / LARGEST_NUMBER))
     runs, count = listed
     shape = state.part.cell_shape[1:]
-    gained, temperature = state.flat["volume_flux"], state.flat["temperature"]
+    gained, temperature = state.flat[VOLUME_FLUX], state.flat["temperature"]
     for substep in range(substeps):
         conduction.heat_gained(runs, count, window, shape, number / substeps, floor, state.flat["mass"], temperature,
                                gained)

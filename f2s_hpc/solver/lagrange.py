@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f2s_hpc.fields import VELOCITY
+from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import deformed, force, momentum, remap, strain
 from f2s_hpc.solver import absorbing
@@ -104,12 +104,12 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     # (before the first step there is no displacement, nor memory for one where each step is remapped)
     deformed.sweep_faces(runs, count, full, shape, displaced, dt / model.dx, *state.velocity,
                          *(state.displacement if displaced else state.velocity), *state.sweep,
-                         state.flat["volume_flux"])
+                         state.flat[VOLUME_FLUX])
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, model.dx, s.largest_strain, model.bulk, model.eos, model.flow,
         (float(s.viscous_heating), float(s.loss_heating)), state.flat["mass"], state.flat["volume_fraction"],
         state.energy, state.stress, state.flat["peeq"], state.flat["temperature"], *state.velocity, displaced,
-        *state.displacement, *state.sweep, state.flat["volume_flux"], *(state.flat[n] for n in TO_HEAT[:2]),
+        *state.displacement, *state.sweep, state.flat[VOLUME_FLUX], *(state.flat[n] for n in TO_HEAT[:2]),
         state.flat["dual_flux"], state.flat["mass_flux"], model.energy_quantum, sums)
     for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned"),
                            sums):

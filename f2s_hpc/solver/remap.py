@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from f2s_hpc.fields import VELOCITY
+from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import SIDES
 from f2s_hpc.kernels import flux, momentum, remap
 from f2s_hpc.solver import absorbing
@@ -28,7 +28,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     """
     # where losses do not heat they are counted in an array that is free until the next forces
     heats = state.lost.size > 1
-    lost = state.lost if heats else state.flat["force_x"]
+    lost = state.lost if heats else state.flat["force_y"]
     runs, count = state.runs
     if not heats:
         momentum.clear_array(runs, count, state.part.cell_shape[1:], lost)
@@ -67,7 +67,7 @@ def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) ->
     low, high = [1, 1, 1], [1, 1, 1]
     low[axis], high[axis] = 2, 2
     window = state.cell_window(tuple(low), tuple(high))
-    arrays = (*state.sweep, state.flat["mass"], state.flat["volume_fraction"], state.flat["volume_flux"])
+    arrays = (*state.sweep, state.flat["mass"], state.flat["volume_fraction"], state.flat[VOLUME_FLUX])
     boundary, memory, offset = state.boundary, state.pool.memory, state.pool.offsets["volume_fraction"]
     boundary.continue_outwards(memory, offset, state.active, True)
     flux.volume_fluxes(runs, count, window, shape, axis, done, *arrays)
@@ -79,7 +79,7 @@ def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) ->
     flux.material_densities(runs, count, around, shape, done, *arrays[:5], density)
     flux.mass_fluxes(runs, count, window, shape, axis, float(model.settings.second_order), density, *arrays[3:],
                      state.flat["mass_flux"])
-    state.boundary.stop_inflow(axis, state.views["volume_flux"], state.views["mass_flux"])
+    state.boundary.stop_inflow(axis, state.views[VOLUME_FLUX], state.views["mass_flux"])
     _count_mass_out(state, model, axis, ledger)
 
 
@@ -136,7 +136,7 @@ def _sweep_cells(state: State, model: Model, axis: int, done: int) -> None:
     ny, nx = shape
     _sweep_fields(state, model, axis, state.cell_window(), (nx * ny, nx), state.offsets(state.carried_cells),
                   state.flat["mass"], state.flat["mass_flux"], None)
-    remap.sweep_mass(runs, count, state.cell_window(), shape, axis, done, *state.sweep, state.flat["volume_flux"],
+    remap.sweep_mass(runs, count, state.cell_window(), shape, axis, done, *state.sweep, state.flat[VOLUME_FLUX],
                      state.flat["mass_flux"], state.flat["mass"], state.flat["volume_fraction"])
 
 
