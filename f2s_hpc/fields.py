@@ -71,8 +71,8 @@ FIELDS: tuple[Field, ...] = (
     Field("lost_energy", NODE, "m2/s2", "twice the kinetic energy, per mass of a full node, that remap and light-node "
           "exchange took in the last step; the next one turns it into heat", ghosted=True, saved=True),
     _work("nodal_mass", "1", "mass of the node over that of a node among full cells"),
-    _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange; after "
-          "that, volume (in cells) through the low face: material in a sweep, swept in a step; heat in conduction"),
+    _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange; "
+          "then volume (in cells) through the low face: swept in a step, material in a sweep; heat in conduction"),
     _work("force_y", "N", "y force on the node, and its velocity change"),
     _work("force_z", "N", "z force on the node, and its velocity change"),
     _work("sweep_x", "1", "volume (in cells) swept by the low x face of the cell since the last remap"),

@@ -95,7 +95,7 @@ def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
         assert set(state.views) == BASE - missing, name
         cells = sum(view.size for view in state.views.values())
         assert state.pool.memory.size < cells + 1024 * len(state.views)
-    assert len(BASE) == 32 - 3
+    assert len(BASE) == 31 - 3
 
 
 @pytest.mark.parametrize(("settings", "called"), [

@@ -12,8 +12,9 @@ from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import ownership_ranges
-from f2s_hpc.particles.batch import make_batches
-from f2s_hpc.workload.expected import moments, part_cells
+from f2s_hpc.particles.batch import Batch, BatchPlan, make_batches
+from f2s_hpc.workload import marks
+from f2s_hpc.workload.expected import ON_GRID, moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
 
 RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, 1, "a test")
@@ -53,13 +54,60 @@ def test_ballistic_flight_makes_only_what_is_close_to_the_surface_active():
     history = list(moments(scene, plan, 1))
     assert (history[0].blocks == history[0].solid).all()  # the first batch is far above
     assert history[0].pace == 1.0
-    reach = 4.0 * max(batch.r.max() for batch in plan.batches) / scene.domain.cell_size + 2 * GHOST
+    reach = 2.0 * max(batch.r.max() for batch in plan.batches) / scene.domain.cell_size + ON_GRID + GHOST
     above = []
     for moment in history:
         top, highest = (np.flatnonzero(blocks.any(axis=(1, 2))).max() for blocks in (moment.blocks, moment.solid))
         above.append(top - highest)
     assert 0 < max(above) <= reach
-    assert history[-2].pace > 1.0
+    assert history[-1].pace == 1.0  # all are down
+    assert max(moment.pace for moment in history) > 1.0
+
+
+def test_a_landed_sphere_fills_the_hollow_below_it(rng):
+    """Its volume is kept, and hills keep their height; fails when a sphere is spread evenly over its disc."""
+    height = np.where(np.arange(40) < 20, 5.0, 8.0) * np.ones((40, 1))
+    before, r = height.copy(), 6.0
+    x, y = np.array([20.0]), np.array([20.0])
+    assert marks.land(height, x, y, np.array([8.1]), np.array([r]), np.ones(1, dtype=np.bool_), 1.5) == 0
+    assert marks.land(height, x, y, np.array([7.9]), np.array([r]), np.ones(1, dtype=np.bool_), 1.5) == 1
+    assert (height - before).sum() == pytest.approx(4.0 / 3.0 * np.pi * r**3, rel=0.01)
+    level = height[20, 20]
+    assert level > 8.0
+    assert height[20, 19] == pytest.approx(level, abs=1e-2)
+    assert height[0, 0] == 5.0
+
+
+def test_spheres_that_will_touch_in_flight_are_on_the_grid_early():
+    """Fails when ``moments`` gives all spheres the scene's velocity, or asks for the surface alone."""
+    scene = load_scene("section4", [*COARSE[:1], "cycles.count=1", "cycles.last_duration=0.1 us"])
+    places = [np.array(a) for a in ([100e-6, 100e-6], [100e-6, 100e-6], [60e-6, 160e-6], [15e-6, 15e-6])]
+    seen = []
+    for upper in (-600.0, -1200.0):
+        batch = Batch(*places, np.array([[0.0, 0.0, -600.0], [0.0, 0.0, upper]]))
+        first = next(moments(scene, BatchPlan([batch], [0])))
+        seen.append(int((first.blocks & ~first.solid & 1).sum()))
+    assert seen[0] == 0
+    assert seen[1] > 0
+
+
+def test_steps_and_active_cells_of_a_whole_run_are_foretold(run_f2s, tmp_path):
+    """Three cycles of section4, the first in the air; fails without ``_pace``, or when only CALM is taken."""
+    settings = ["domain.cell_size=10 um", "cycles.count=3", "cycles.last_duration=0.325 us", "output.picture=false",
+                "output.frames=none", "output.checkpoints=false"]
+    done = run_f2s(["run", "section4", "--out", "run", *(a for s in settings for a in ("--set", s))])
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    scene = load_scene("section4", settings)
+    plan = make_batches(scene)
+    assert predict(scene, plan, [1], RATES, Network())[0].steps == pytest.approx(summary["steps"], rel=0.08)
+    nx = scene.domain.cells[0]
+    whole = ownership_ranges(Box(scene.domain.cells, 1e-6), (1, 1, 1))
+    history = list(moments(scene, plan))
+    steps = np.array([m.weight * m.pace for m in history])
+    active = np.array([part_cells(m.blocks, nx, whole, 0)[0, 0, 0] for m in history])
+    found = summary["active_cell_steps"] / summary["steps"]
+    assert (steps * active).sum() / steps.sum() == pytest.approx(found, rel=0.15)
 
 
 def test_messages_of_a_cut_box():

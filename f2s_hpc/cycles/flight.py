@@ -17,11 +17,8 @@ from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.kernels import paint
 from f2s_hpc.particles.batch import Batch, clipped_volume, join
+from f2s_hpc.particles.meeting import REACH, waits
 from f2s_hpc.state import State
-
-REACH = 3.0
-"""Distance to material (in cells) at which a sphere is painted: two for its mixed cells and their nodes, one for the
-wave that runs ahead of what it is to hit."""
 
 LOOK = 2
 """Remaps between two looks; what can be flown until the next one is added to the reach."""
@@ -29,26 +26,13 @@ LOOK = 2
 CLEARANCE = 0.25
 """Step (in cells) by which a new sphere is raised until nothing is in its place."""
 
-
 SAME = 5e-3
 """Material whose velocity differs from a sphere's by less than this share of its speed flies along with it.
 
 At 600 m/s that is 3 m/s, 1 um in the time of a cycle; what an impact has reached differs by far more.
 """
 
-LEAD = 18.0
-"""Most cells that spheres which will touch each other in flight still fly after they are painted: those that close in
-slowly would else be on the grid all the way down."""
-
 NO_ROOM = "a particle meets material at the top of the box, where it does not fit in; make domain.size higher"
-
-
-def _first_time(p: np.ndarray, w: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Return when pairs at ``p`` + ``w`` t come as close as ``distance``: 0 if they are and close in, else infinity."""
-    ww, pw, c = (w * w).sum(axis=1), (p * w).sum(axis=1), (p * p).sum(axis=1) - distance * distance
-    root = pw * pw - ww * c
-    first = np.where(c <= 0.0, 0.0, (-pw - np.sqrt(np.maximum(root, 0.0))) / np.maximum(ww, 1e-300))
-    return np.where((pw < 0.0) & (root >= 0.0), first, np.inf)
 
 
 class Flight:
@@ -97,7 +81,7 @@ class Flight:
         self.spheres = join([Batch(*self.spheres.arrays[:4]) if self.count else None, placed])
         self.velocity = np.concatenate([self.velocity, speeds])
         self.start = np.concatenate([self.start, np.full(batch.count, time)])
-        self._find_contacts(time)
+        self.contact = time + waits(self.at(time), self.dx)
         return raised
 
     def _free_places(self, state: State, batch: Batch, flying: Batch) -> tuple[Batch, int]:
@@ -115,32 +99,6 @@ class Flight:
             raised |= hit
             waiting = hit
         return batch, int(raised.sum())
-
-    def _find_contacts(self, time: float) -> None:
-        """Find when spheres of different velocity that will touch come within reach: |p + w t| = r_1 + r_2 + reach.
-
-        What would touch only after it has landed, or passes by, does not count.
-        """
-        self.contact = np.full(self.count, np.inf)
-        v = self.velocity
-        if self.count < 2 or (v == v[0]).all():
-            return
-        from scipy.spatial import cKDTree  # (20 MB on every rank, for jets only)
-
-        now = self.at(time)
-        places = np.stack([now.x, now.y, now.z], axis=1)
-        slowest = max(np.abs(v[:, 2]).min(), 1e-3)
-        flight_time = max(places[:, 2].max() / slowest, 0.0)
-        spread = np.linalg.norm(v - v.mean(axis=0), axis=1).max()
-        reach = 2.0 * REACH * self.dx
-        pairs = cKDTree(places).query_pairs(2.0 * (now.r.max() + spread * flight_time) + reach, output_type="ndarray")
-        a, b = pairs[:, 0], pairs[:, 1]
-        p, w, radii = places[b] - places[a], v[b] - v[a], now.r[a] + now.r[b]
-        touch, near = (_first_time(p, w, radii + gap) for gap in (self.dx, reach))
-        when = np.maximum(near, touch - LEAD * self.dx / np.linalg.norm(v[a], axis=1))
-        meets = touch < flight_time
-        for side in (a, b):
-            np.minimum.at(self.contact, side[meets], time + np.maximum(when[meets], 0.0))
 
     def arrivals(self, state: State, time: float, dt: float) -> tuple[Batch, tuple[float, float, float]] | None:
         """Take the spheres that are about to meet something out of the flight; return them and the first's velocity.

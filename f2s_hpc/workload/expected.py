@@ -1,8 +1,8 @@
 """The load of a run before it is run: which cells will be active when, from the substrate, the batches and the cycles.
 
-Spheres fly straight, each until its lowest point meets the surface below it; there it becomes deposit, spread over a
-disc. In ballistic flight only those close to the surface make cells active. Nothing of the solver is run and no field
-is allocated, so this takes seconds for a hundred thousand particles.
+Spheres fly straight, each until its centre meets the surface below it; there it becomes deposit, spread over a disc.
+In ballistic flight only those close to the surface, or about to touch another, make cells active. Nothing of the solver
+is run and no field is allocated, so this takes seconds for a hundred thousand particles.
 """
 
 from __future__ import annotations
@@ -17,14 +17,27 @@ from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.kernels.activity import BLOCK
 from f2s_hpc.particles.batch import Batch, BatchPlan
+from f2s_hpc.particles.meeting import waits
 from f2s_hpc.workload import marks
 
 SPREAD = 1.4
 """Width of a landed particle over its diameter: what splats of copper at 500 to 700 m/s have (see ``f2s verify``)."""
 
-BUSY_PACE = 1.75
-"""Steps per time while particles land, over those at rest: shock viscosity, speed and strain shorten them (measured:
-1.6, 1.75 and 2.05 in section4 at 6 and 3 um and in wide-100k)."""
+CALM, ON_GRID = 4.0, 11.0
+"""Distance to the surface (in cells) below which flying particles are on the grid, while none lands and while some do.
+By the rule of ballistic flight it is always the first, but of what splashes and of particles that are being stopped the
+surface here knows nothing. Measured: the active cells of section4 at 6 and 3 um, wide-100k and track-160 at 8 and 4 um
+are met within 10 % in each cycle."""
+
+BUSY_PACE, BY_CELLS, BY_NUMBER, BY_DENSITY = 1.58, 0.16, 0.3, 0.6
+"""Steps per time while particles land, over those at rest, for what is ``USUAL`` (shock viscosity, speed and strain
+shorten them); and what is added for twice as many cells per diameter, for ten times as many that land at once, since
+the fastest of all counts, and for ten times as many on a square millimetre. Measured: 1.6 and 1.75 in section4 at 6 and
+3 um, 1.4 and 1.55 in track-160 at 8 and 4 um, 2.2 in wide-100k."""
+
+USUAL = (3.6, 54.0, 445.0)
+"""Cells per mean diameter (by number), spheres that land at once and their number on a square millimetre: those of
+section4 at 6 um."""
 
 SAMPLES = 4
 """Looks per cycle."""
@@ -46,56 +59,89 @@ class Moment:
     solid: np.ndarray
 
 
-def _in_cells(batch: Batch, scene: Scene) -> list[np.ndarray]:
-    """Return x, y, z, r of a batch in cells, z from the bottom of the box, in rising order of z."""
-    dx = scene.domain.cell_size
-    order = np.argsort(batch.z - batch.r, kind="stable")
-    return [a[order] / dx for a in (batch.x, batch.y, batch.z + scene.domain.layer_bottom, batch.r)]
+class Air:
+    """All spheres in flight, in cells and seconds, z from the bottom of the box; lowest first."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.dx = scene, scene.domain.cell_size
+        self.places, self.velocity = np.empty((0, 3)), np.empty((0, 3))
+        self.r, self.waits = np.empty(0), np.empty(0)
+
+    def launch(self, batch: Batch) -> None:
+        """Add a batch, z from the bottom of the layer."""
+        bottom, speed = self.scene.domain.layer_bottom, self.scene.particles.velocity
+        own = np.tile(speed, (batch.count, 1)) if batch.velocity is None else batch.velocity
+        places = np.stack([batch.x, batch.y, batch.z + bottom], axis=1)
+        self.places = np.concatenate([self.places, places / self.dx])
+        self.velocity = np.concatenate([self.velocity, own / self.dx])
+        self.r = np.concatenate([self.r, batch.r / self.dx])
+        if self.scene.ballistic:
+            self.waits = waits(Batch(*self.places.T, self.r, self.velocity), 1.0)
+        else:
+            self.waits = np.zeros(self.r.size)
+
+    def fly(self, time: float) -> None:
+        """Let all fly on for ``time`` (s)."""
+        self.places += self.velocity * time
+        self.waits -= time
+
+    def land(self, height: np.ndarray) -> int:
+        """Make what has arrived part of the surface ``height`` (cells, [j, i]); return how many did."""
+        order = np.argsort(self.places[:, 2] - self.r, kind="stable")
+        self._keep(order)
+        flying = np.ones(self.r.size, dtype=np.bool_)
+        landed = marks.land(height, *self.places.T.copy(), self.r, flying, SPREAD)
+        self._keep(flying)
+        return landed
+
+    def _keep(self, rows: np.ndarray) -> None:
+        self.places, self.velocity = self.places[rows], self.velocity[rows]
+        self.r, self.waits = self.r[rows], self.waits[rows]
+
+    def mark(self, blocks: np.ndarray, height: np.ndarray, cells: int, reach: float) -> None:
+        """Mark the blocks of what is on the grid: within ``reach`` of the surface, or about to touch another sphere."""
+        x, y, z = self.places.T.copy()
+        seen = self.waits <= 0.0
+        if self.scene.ballistic:
+            seen |= marks.near_surface(height, x, y, z, self.r, reach)
+        marks.mark_spheres(blocks, x, y, z, self.r, seen, GHOST, BLOCK, cells)
 
 
 def moments(scene: Scene, plan: BatchPlan, samples: int = SAMPLES) -> Iterator[Moment]:
     """Yield the load at ``samples`` times of each cycle, in order."""
     nx, ny, nz = scene.domain.cells
-    shape = (nz, ny, block_count(nx))
-    dx = scene.domain.cell_size
-    height = np.full((ny, nx), scene.domain.substrate_height / dx)
-    velocity = np.array(scene.particles.velocity) / dx
-    air: list[tuple[list[np.ndarray], np.ndarray]] = []
+    height = np.full((ny, nx), scene.domain.substrate_height / scene.domain.cell_size)
+    fastest, air = scene.top_speed / scene.domain.cell_size, Air(scene)
     for cycle, duration in enumerate(scene.cycles.durations):
-        spheres = _in_cells(plan.batches[plan.order[cycle]], scene)
-        air.append((spheres, np.ones(spheres[3].size, dtype=np.bool_)))
+        batch = plan.batches[plan.order[cycle]]
+        air.launch(batch)
         # long cycles need more looks, or particles would be seen far above and then far below the surface
-        looks = max(samples, int(np.ceil(duration * abs(velocity[2]) / (0.05 * nz))))
+        looks = max(samples, int(np.ceil(duration * fastest / (0.05 * nz))))
+        step = duration / looks
         for look in range(looks):
-            step = duration / looks * (0.5 if look == 0 else 1.0)
-            aloft = sum(int(flying.sum()) for _, flying in air)
-            for (x, y, z, r), flying in air:
-                for place, speed in zip((x, y, z), velocity):
-                    place += speed * step
-                marks.land(height, x, y, z, r, flying, SPREAD)
-            landing = sum(int(flying.sum()) for _, flying in air) < aloft
-            air = [(s, flying) for s, flying in air if flying.any()]
-            blocks = np.zeros(shape, dtype=np.uint8)
+            air.fly(step * (0.5 if look == 0 else 1.0))
+            landed = air.land(height)
+            blocks = np.zeros((nz, ny, block_count(nx)), dtype=np.uint8)
             marks.mark_solid(blocks, height, GHOST, BLOCK)
             solid = blocks.copy()
-            for (x, y, z, r), flying in air:
-                seen = flying & _close_to(height, x, y, z, r) if scene.ballistic else flying
-                marks.mark_spheres(blocks, x, y, z, r, seen, GHOST, BLOCK, nx)
-            share, pace = duration / looks / scene.cycles.total_time, BUSY_PACE if landing else 1.0
-            yield Moment(cycle, share, pace, blocks, solid)
-        for (x, y, z, _), _ in air:
-            for place, speed in zip((x, y, z), velocity):
-                place += speed * 0.5 * duration / looks
+            air.mark(blocks, height, nx, ON_GRID if landed else CALM)
+            yield Moment(cycle, step / scene.cycles.total_time, _pace(scene, batch, landed, step), blocks, solid)
+        air.fly(0.5 * step)
 
 
-def _close_to(height: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Tell which spheres are so low that they are on the grid in ballistic flight: called down by what has landed.
+def _pace(scene: Scene, batch: Batch, landed: int, time: float) -> float:
+    """Return the steps per time over those at rest while ``landed`` spheres land in ``time`` (s).
 
-    Within one diameter of the surface below, the mean one by volume.
+    A time in which only few of those land that would in a steady spray is partly one at rest.
     """
-    ny, nx = height.shape
-    below = height[np.clip(y.astype(np.int64), 0, ny - 1), np.clip(x.astype(np.int64), 0, nx - 1)]
-    return z - r < below + 2.0 * (r**4).sum() / max((r**3).sum(), 1e-300)
+    width, depth, _ = scene.domain.extents
+    diameter = 2.0 * float(batch.r.mean())
+    at_once = batch.count / scene.cycles.durations[0] * diameter / scene.top_speed
+    cells, number, density = (value / usual for value, usual in zip(
+        (diameter / scene.domain.cell_size, at_once, at_once / (1e6 * width * depth)), USUAL))
+    busy = BUSY_PACE + BY_CELLS * np.log2(cells) + BY_NUMBER * np.log10(number) + BY_DENSITY * np.log10(density)
+    steady = batch.count * time / scene.cycles.durations[0]
+    return 1.0 + max(busy - 1.0, 0.0) * min(2.0 * landed / max(steady, 1e-300), 1.0)
 
 
 def block_count(cells: int) -> int:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from f2s_hpc._jit import kernel
 
 
@@ -62,10 +64,11 @@ def mark_solid(blocks, height, ghosts, block):
 
 @kernel
 def land(height, x, y, z, r, flying, spread):
-    """Let the spheres whose lowest point is at or below the surface become part of it; return how many did.
+    """Let the spheres whose centre is at or below the surface become part of it; return how many did.
 
-    A landed sphere raises the surface ``height`` (cells, [j, i]) under a disc ``spread`` times as wide as itself by its
-    volume; what lies beyond the box is its mirror image, as the sides are. Spheres must come in rising order of z.
+    A landed sphere fills the disc below it, ``spread`` times as wide as itself, up to one level: particles leave few
+    hollows. What lies beyond the box is the mirror image of what lies inside, as the sides are. Spheres must come in
+    rising order of z. ``height``: the surface (cells, [j, i]).
     """
     ny, nx = height.shape
     landed = 0
@@ -73,14 +76,53 @@ def land(height, x, y, z, r, flying, spread):
         if not flying[s]:
             continue
         i, j = min(max(int(x[s]), 0), nx - 1), min(max(int(y[s]), 0), ny - 1)
-        if z[s] - r[s] > height[j, i]:
+        if z[s] > height[j, i]:
             continue
         flying[s] = False
         landed += 1
         wide = max(spread * r[s], 1.0)
-        raised = 4.0 / 3.0 * math.pi * r[s] ** 3 / (math.pi * wide * wide)
-        for b in range(int(math.floor(y[s] - wide)), int(math.floor(y[s] + wide)) + 1):
-            for a in range(int(math.floor(x[s] - wide)), int(math.floor(x[s] + wide)) + 1):
-                if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide and 0 <= a < nx and 0 <= b < ny:
-                    height[b, a] += raised
+        a0, a1 = max(int(math.floor(x[s] - wide)), 0), min(int(math.floor(x[s] + wide)) + 1, nx)
+        b0, b1 = max(int(math.floor(y[s] - wide)), 0), min(int(math.floor(y[s] + wide)) + 1, ny)
+        cells, lowest = 0, math.inf
+        for b in range(b0, b1):
+            for a in range(a0, a1):
+                if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide:
+                    cells += 1
+                    lowest = min(lowest, height[b, a])
+        if cells == 0:
+            continue
+        volume = 4.0 / 3.0 * math.pi * r[s] ** 3 * min(cells / (math.pi * wide * wide), 1.0)
+        low, high = lowest, lowest + volume
+        for _ in range(40):
+            level, needed = 0.5 * (low + high), 0.0
+            for b in range(b0, b1):
+                for a in range(a0, a1):
+                    if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide:
+                        needed += max(level - height[b, a], 0.0)
+            if needed < volume:
+                low = level
+            else:
+                high = level
+            if high - low < 1e-3:
+                break
+        for b in range(b0, b1):
+            for a in range(a0, a1):
+                if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide:
+                    height[b, a] = max(height[b, a], high)
     return landed
+
+
+@kernel
+def near_surface(height, x, y, z, r, reach):
+    """Return, for each sphere, whether the surface ``height`` (cells, [j, i]) is within ``reach`` of it, bool [n]."""
+    ny, nx = height.shape
+    near = np.zeros(x.size, dtype=np.bool_)
+    for s in range(x.size):
+        wide = r[s] + reach
+        for b in range(max(int(math.floor(y[s] - wide)), 0), min(int(math.floor(y[s] + wide)) + 1, ny)):
+            for a in range(max(int(math.floor(x[s] - wide)), 0), min(int(math.floor(x[s] + wide)) + 1, nx)):
+                across = (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2
+                below = max(z[s] - height[b, a], 0.0)
+                if across + below * below <= wide * wide:
+                    near[s] = True
+    return near
