@@ -69,6 +69,14 @@ def test_prediction_knows_the_tracers(tmp_path, ranks):
     assert expected[1] > 1.3 * expected[0]
 
 
+def test_the_picture_takes_the_place_of_fields_that_were_given_back():
+    small, large = (memory.RankMemory(memory.BASELINE, arrays, 0, 1000) for arrays in (28 * 2**20, 280 * 2**20))
+    scene = load_scene("section4")
+    work = 14 / 28 * 28 * 2**20
+    assert memory.of_picture(scene, small) == pytest.approx(memory.PICTURE - work, abs=1)
+    assert memory.of_picture(scene, large) == 0
+
+
 def test_check_prints_bytes_per_cell(run_f2s):
     done = run_f2s(["check", "section4"])
     assert done.returncode == 0, done.stderr

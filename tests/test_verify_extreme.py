@@ -257,6 +257,9 @@ def test_levers_save_and_change_what_they_should():
     assert active.fraction_change == active.height_mean_m == active.peeq_p50 == active.temperature_p50 == 0.0
     assert cold.temperature_p95 > 10.0
     assert 0.0 < cold.fraction_change < 0.02
+    fewer = rows["fewer remaps"]
+    assert 0.0 < fewer.fraction_change < 0.01
+    assert 0.0 < abs(fewer.temperature_p95) < 10.0
     assert 0.0 < rows["remap of order 1"].fraction_change < 0.05
     assert abs(rows["remap of order 1"].peeq_p95) > 0.01
     asleep = rows["sleeping depth"]

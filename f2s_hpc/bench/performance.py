@@ -96,7 +96,7 @@ def per_particle(wide: pathlib.Path, out: pathlib.Path, ranks: int, launcher: st
     """Return the cost per particle of a finished run of wide-100k against section4, and against a patch of itself.
 
     Both with its cells, on ``ranks`` ranks; by cell-steps, which do not depend on what else the machine does, and by
-    the clock. The particles of section4 are smaller, so the cost per volume is stated too.
+    the clock. The powder is the same; the deposit of section4 is twice as high at its end.
     """
     many, domain = runs.read_summary(wide), read_scene_text(wide)["domain"]
     cells, patch = f"domain.cell_size={domain['cell_size']}", [s.format(height=domain["size"][2]) for s in PATCH]

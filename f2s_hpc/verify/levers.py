@@ -49,6 +49,7 @@ class Lever:
 LEVERS: tuple[Lever, ...] = (
     Lever("active rows", ("numerics.active_rows=true",), ("numerics.active_rows=false",)),
     Lever("no conduction", ("numerics.conduction=false",), ("numerics.conduction=true",)),
+    Lever("fewer remaps", ("numerics.steps_per_remap=8",), ("numerics.steps_per_remap=1",)),
     Lever("remap of order 1", ("numerics.remap_order=1",), ("numerics.remap_order=2",)),
     Lever("sleeping depth", ("numerics.sleeping_depth=0.048 mm",), ("numerics.sleeping_depth=0 m",)),
     Lever("half substrate, absorbing", ("domain.faces.z_low=absorbing",), ("domain.faces.z_low=fixed",), True),

@@ -41,7 +41,7 @@ TRACER, SENT = 205, 145
 where there are other ranks, which it is handed over to."""
 
 PICTURE = 50 * 2**20
-"""More on rank 0 at the very end, while matplotlib draws the picture (bytes)."""
+"""What matplotlib takes on rank 0 at the very end, while it draws the picture (bytes)."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,13 @@ def _mapped(scene: Scene, neighbours: tuple[int, int, int], count: tuple[int, in
     # maps for all that has ghosts; for velocity and what moves with the cells deep, in one layer and along each axis
     moving = sum(f.advected and f.location == fields.CELL for f in needed)
     return ghosts * (2 * (len(fields.VELOCITY) + moving) + sum(f.ghosted for f in needed))
+
+
+def of_picture(scene: Scene, rank: RankMemory) -> int:
+    """Return what the picture takes beyond the memory of the step (bytes): the fields of the step are given back first.
+    """
+    needed = scene.needed_fields
+    return max(PICTURE - rank.arrays * sum(not f.saved for f in needed) // len(needed), 0)
 
 
 def of_ranks(scene: Scene, ranges: Ranges, planes: int) -> list[RankMemory]:
