@@ -168,6 +168,25 @@ def test_hourglass_patterns_are_damped_at_the_documented_rate(pattern, component
     assert power[0] * model.energy_quantum * 1e9 == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize(("push", "speed"), [(-0.4, 6.0), (-5.0, 0.0), (-8.0, -6.0), (0.4, 10.8), (-0.4j, 10.0)])
+def test_a_force_may_take_all_motion_of_a_light_node_but_drives_it_by_the_floor(push, speed):
+    """A node of a fifth of the floor at 10 m/s: pushed back by its own mass until it stands, forth by the floor.
+
+    ``push``: over what stops it; imaginary across its way. Fails when the floor divides a braking force too, or when
+    a braking force is divided by the mass alone.
+    """
+    model = make_model(DX)
+    setup, dt, node = make_block((6, 6, 6), model), 1e-9, (6, 6, 6)
+    views = setup.state.views
+    mass = 0.2 * model.settings.light_mass_floor
+    views["nodal_mass"][node], views["velocity_x"][node] = mass, 10.0
+    stopping = mass * model.bulk.density * DX**3 * 10.0 / dt
+    views["force_x"][node], views["force_y"][node] = complex(push).real * stopping, complex(push).imag * stopping
+    lagrange.kick(setup.state, model, dt, setup.ledger)
+    assert views["velocity_x"][node] == pytest.approx(speed, abs=1e-9)
+    assert views["velocity_y"][node] == pytest.approx(complex(push).imag * 2.0, abs=1e-9)
+
+
 def rotation_gradient(axis, angle, dt):
     """Return (R - 1) / dt: straight motion over ``dt`` carries a body into its image turned by ``angle`` (rad)."""
     x, y, z = np.array(axis) / np.linalg.norm(axis)

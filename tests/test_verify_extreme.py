@@ -59,6 +59,12 @@ def test_mass_floor_brings_no_energy_in():
     assert outcome.verdict == watch.STABLE
 
 
+def test_mass_floor_withholds_no_braking():
+    """Found by the fuzz: a sphere of half a cell meets a mirror; fails when the floor divides a braking force too."""
+    outcome, = fuzz.run(1, first=52)
+    assert outcome.verdict == watch.STABLE
+
+
 def test_mass_that_leaves_is_counted_to_1e_10():
     """Found by the fuzz: 1700 steps of a slow outflow; fails if ``flux.mass_through_plane`` rounds towards zero."""
     text = fuzz.scene_text(1, 245).replace('y_high = "outflow"', 'y_high = "free"')

@@ -11,6 +11,9 @@ from f2s_hpc._jit import borrowed, inlined, kernel
 SMALLEST_VELOCITY = 1e-20
 """Velocities below this (m/s) are rest."""
 
+NOTHING = 1e-300
+"""What a division by a mass or force that is zero is kept from."""
+
 FAST_STRENGTH = 0.12
 """Strength of the momentum exchange between a node beyond the speed limit and its neighbours."""
 
@@ -67,9 +70,13 @@ def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free
     kinetic_before, kinetic_after, worked, withheld = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     for i in range(u.size):
         m = full * nodal[i]
-        kick = dt / max(m, floor * full) if m > 0.0 else 0.0
         moves = 1.0 if m > 0.0 else 0.0
         u0, v0, w0 = u[i], v[i], w[i]
+        kick = moves * dt / max(m, floor * full)
+        # the floor is there for what is driven; braking that it withholds would be energy that nothing gave
+        gx, gy, gz = fx[i] * hold_u * free_u[i], fy[i] * hold_v * free_v[i], fz[i] * hold_w * free_w[i]
+        stops = -(u0 * gx + v0 * gy + w0 * gz) / max(gx * gx + gy * gy + gz * gz, NOTHING)
+        kick = max(kick, min(moves * dt / max(m, NOTHING), stops))
         u1 = (moves * u0 + kick * fx[i]) * hold_u * free_u[i]
         v1 = (moves * v0 + kick * fy[i]) * hold_v * free_v[i]
         w1 = (moves * w0 + kick * fz[i]) * hold_w * free_w[i]
@@ -98,8 +105,10 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
                quantum, sums):
     """Advance the owned nodes by one kick, v += dt F / m, and hold the walls.
 
-    ``floor``: least mass (in full nodes) that divides the force; ``free``: per axis and component,
-    1 where a node plane may move in that component, 0 where the wall holds it, as free[axis][component].
+    ``floor``: least mass (in full nodes) that divides the force; where that is more than the node has, a force against
+    its motion is divided by less, down to its mass, until it has taken all motion along it.
+    ``free``: per axis and component, 1 where a node plane may move in that component, 0 where the wall holds it, as
+    free[axis][component].
     ``sums`` int64[4], in units of ``quantum`` (J): kinetic energy before and after, work of the
     forces, and the part of that work that the mass floor withheld.
     """
