@@ -65,6 +65,12 @@ def test_mass_floor_withholds_no_braking():
     assert outcome.verdict == watch.STABLE
 
 
+def test_material_that_touches_a_side_when_it_is_put_in_brings_no_energy():
+    """Found by the fuzz: a sphere larger than its box; fails with a whole first step, ``START`` = 0."""
+    outcome, = fuzz.run(1, first=104)
+    assert outcome.verdict == watch.STABLE
+
+
 def test_mass_that_leaves_is_counted_to_1e_10():
     """Found by the fuzz: 1700 steps of a slow outflow; fails if ``flux.mass_through_plane`` rounds towards zero."""
     text = fuzz.scene_text(1, 245).replace('y_high = "outflow"', 'y_high = "free"')

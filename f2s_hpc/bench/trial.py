@@ -56,7 +56,7 @@ def measure(scene: Scene, duration: float) -> dict:
     paint_substrate(state, scene.domain.substrate_height, scene.substrate.temperature)
     paint_batch(state, model, plan.batches[plan.order[0]], scene.domain.layer_bottom, scene.particles.velocity,
                 scene.particles.temperature, ledger, scene.batches.seed)
-    clock.limits.heavy_speed = scene.particles.speed
+    clock.limits.put_in(scene.top_speed, scene.domain.cell_size)
     watches, wall, busy, messages = Stopwatches(), [], [], []
     with waiting(watches.wrap):
         while clock.in_cycle < duration * (1.0 - 1e-12):

@@ -211,8 +211,7 @@ class Simulation:
         self.particles += report.spheres
         self.moved += report.moved
         self.batch_is_in = True
-        limits = self.clock.limits
-        limits.heavy_speed = max(limits.heavy_speed, scene.top_speed)
+        self.clock.limits.put_in(scene.top_speed, scene.domain.cell_size)
         if report.message():
             self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
         return report

@@ -12,6 +12,11 @@ from f2s_hpc.errors import UnstableStep
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
+START = 10.0
+"""The first step after material was put in is chosen as for a velocity gradient so many times its speed per cell: no
+gradient has been measured yet, and it may touch a side or other material from the start. The step then grows by its own
+limit."""
+
 LIMITS = ("sound", "motion", "strain", "growth", "end of cycle")
 
 
@@ -27,6 +32,11 @@ class Limits:
     gradient_cell: int = 0
     stop: bool = False  # this rank asks for a stop (signal, wall time)
     highest: int = -1  # plane of cells (global k): none above it is active
+
+    def put_in(self, speed: float, dx: float) -> None:
+        """Take notice of material that was painted with ``speed`` (m/s), wherever it is."""
+        self.heavy_speed = max(self.heavy_speed, speed)
+        self.gradient = max(self.gradient, START * speed / dx)
 
     def over_ranks(self) -> np.ndarray:
         """Return [wave, light speed, heavy speed, gradient, stop, highest], largest of all ranks; NaN is infinite."""

@@ -255,8 +255,7 @@ def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float
         setup.report = paint_batch(setup.state, setup.model, batch, scene.domain.layer_bottom,
                                    scene.particles.velocity, scene.particles.temperature, setup.ledger,
                                    scene.batches.seed * 1000003 + cycle)
-        limits = setup.clock.limits
-        limits.heavy_speed = max(limits.heavy_speed, scene.top_speed)
+        setup.clock.limits.put_in(scene.top_speed, scene.domain.cell_size)
         run(duration)
         setup.clock.cycle_start += duration
         setup.clock.in_cycle = 0.0
