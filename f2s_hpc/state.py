@@ -79,12 +79,17 @@ class State:
         self.active[:] = 1
         self.pool.cover_all()
 
+    @staticmethod
+    def _filled(array: np.ndarray) -> np.ndarray:
+        """Return which planes [k] hold something of ``array``."""
+        return np.array([plane.any() for plane in array])
+
     def around(self, array: np.ndarray) -> np.ndarray:
         """Return, as ``active`` is, the blocks of all planes [k] that hold something of ``array``, and those near ends.
 
         Near the low and high end of the box are the ghosts, and what they mirror.
         """
-        planes = np.array([plane.any() for plane in array])
+        planes = self._filled(array)
         planes[:2 * GHOST] = planes[-2 * GHOST:] = True
         return np.repeat(planes, self.active[0].size).reshape(self.active.shape).astype(np.uint8)
 
@@ -95,7 +100,7 @@ class State:
         """
         if self._untouched:
             self.active[:] = 0
-        planes = np.flatnonzero([plane.any() for plane in self.views["mass"]])
+        planes = np.flatnonzero(self._filled(self.views["mass"]))
         self.pool.cover(int(mpi.maximum(np.int64(planes.max(initial=0) + self.part.offset[2]))))
         self.pool.exchange(("mass",))
         where = self.around(self.views["mass"])

@@ -49,6 +49,7 @@ SUMMARY_KEYS = (
     "peak_memory_bytes", "particles", "painted_volume_m3", "mass_drift_relative", "mass_left_kg", "mass_capped_kg",
     "dense_height_m", "height_mean_m", "height_p95_m", "height_max_m", "speed_max_heavy_m_s", "peeq_p50",
     "peeq_p95", "peeq_max", "temperature_p50_degC", "temperature_p95_degC", "energy", "numerical_loss_fraction",
+    "numerical_loss_unheated_fraction",
     "startup_s", "startup_memory_bytes",
 )
 

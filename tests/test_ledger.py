@@ -126,13 +126,17 @@ def test_heat_is_that_of_its_three_sources():
     # what the last step lost heats in the next; elastic energy lost, the mass floor's share and what nodes on the
     # surface and in fragments lost do not come back
     lost = energy["hourglass"] + energy["light_nodes"] + energy["remap_kinetic"]
-    assert 0.6 < energy["returned_heat"] / (run.model.bulk.taylor_quinney * lost) < 1.0
+    returned = energy["returned_heat"] / run.model.bulk.taylor_quinney
+    assert 0.6 < returned / lost < 1.0
+    fractions = [run.balance[f"numerical_loss_{name}fraction"] for name in ("", "unheated_")]
+    assert (fractions[0] - fractions[1]) * energy["brought_in"] == pytest.approx(returned, rel=1e-9, abs=0.0)
 
 
 def test_losses_heat_only_if_asked():
     """Fails if ``heat_chunk`` leaves out ``losses *``."""
     run = Run(IMPACT, "numerics.loss_heating=false")
     assert run.energy["returned_heat"] == 0.0
+    assert run.balance["numerical_loss_unheated_fraction"] == run.balance["numerical_loss_fraction"] > 0.0
     assert "lost_energy" not in run.state.views
 
 

@@ -139,12 +139,15 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
                                              "put_to_sleep", "remainder"))
     if not model.settings.viscous_heating:
         lost += energy["shock_viscosity"]
+    # what came back as heat came with the share of plastic work that heats
+    unheated = lost - energy["returned_heat"] / max(model.bulk.taylor_quinney, 1e-300)
     return {
         "painted_volume_m3": painted * model.mass_quantum * model.dx**3,
         "mass_drift_relative": missing / painted if painted else 0.0,
         "mass_left_kg": totals["mass_left"] * kilogram, "mass_capped_kg": totals["mass_capped"] * kilogram,
         "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
-        "numerical_loss_fraction": lost / brought if brought else 0.0, "energy": energy,
+        "numerical_loss_fraction": lost / brought if brought else 0.0,
+        "numerical_loss_unheated_fraction": unheated / brought if brought else 0.0, "energy": energy,
         "nodes_capped": totals["nodes_capped"],
     }
 

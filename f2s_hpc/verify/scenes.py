@@ -73,7 +73,7 @@ def scene_setup(scene: Scene) -> tuple[Setup, int]:
     batch = mpi.run_together(make_batches, scene).batches[0]
     setup.report = paint_batch(state, model, batch, scene.domain.layer_bottom, scene.particles.velocity,
                                scene.particles.temperature, setup.ledger, scene.batches.seed)
-    setup.clock.limits.heavy_speed = scene.top_speed
+    setup.clock.limits.put_in(scene.top_speed, model.dx)
     setup.activate()
     return setup, substrate_quanta
 
@@ -97,7 +97,7 @@ def run_cycles(scene: Scene) -> tuple[Setup, int]:
             state, model, batch, scene.domain.layer_bottom, scene.particles.velocity, scene.particles.temperature,
             setup.ledger, scene.batches.seed * 1000003 + cycle)
         waiting = setup.report.deferred
-        clock.limits.heavy_speed = max(clock.limits.heavy_speed, scene.top_speed)
+        clock.limits.put_in(scene.top_speed, model.dx)
         setup.advance_to(duration)
         clock.cycle_start, clock.in_cycle = clock.cycle_start + duration, 0.0
     return setup, substrate_quanta

@@ -30,7 +30,7 @@ def head_on(name: str, text: str, overrides: tuple[str, ...] = ()) -> Outcome:
         one = batch.chosen(slice(index, index + 1))
         paint_batch(setup.state, setup.model, one, scene.domain.layer_bottom, velocity, scene.particles.temperature,
                     setup.ledger, index)
-    setup.clock.limits.heavy_speed = scene.particles.speed
+    setup.clock.limits.put_in(scene.particles.speed, setup.model.dx)
     watch = Watch(setup, scene.particles.speed)
 
     return judge(name, watch, lambda: watch.run(scene.cycles.duration))
