@@ -11,6 +11,9 @@ from f2s_hpc.grid.decomposition import Decomposition
 from f2s_hpc.grid.halo import Pool
 from f2s_hpc.kernels import activity
 
+ROOM = 3
+"""Rows around active ones that keep their memory: kernels write up to two beyond, and nodes have one row more."""
+
 
 class State:
     """All fields of this rank, with ghosts.
@@ -154,6 +157,24 @@ class State:
         What a cycle ends with, measuring and writing, then fits into the memory of the step.
         """
         self.pool.release(f.name for f in self.fields if not f.saved)
+
+    def release_empty(self) -> None:
+        """Give back the memory of rows far from all active ones: they are zero, but what flew past made them real.
+
+        Not collective.
+        """
+        near = self.active.any(axis=2)
+        for _ in range(ROOM):
+            near[1:] |= near[:-1].copy()
+            near[:-1] |= near[1:].copy()
+            near[:, 1:] |= near[:, :-1].copy()
+            near[:, :-1] |= near[:, 1:].copy()
+        for name, view in self.views.items():
+            more = [(0, n - m) for n, m in zip(view.shape, near.shape)]
+            rows = np.pad(near, more, mode="edge")
+            edges = np.flatnonzero(np.diff(rows.reshape(-1), prepend=True, append=True))
+            for first, end in edges.reshape(-1, 2):
+                self.pool.release_rows(name, int(first), int(end))
 
     @property
     def floor_plane(self) -> int | None:

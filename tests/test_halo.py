@@ -15,7 +15,7 @@ from f2s_hpc.fields import BY_NAME, CELL, FIELDS, VELOCITY
 from f2s_hpc.grid import halo
 from f2s_hpc.grid.box import GHOST, SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition, process_grid
-from f2s_hpc.state import State
+from f2s_hpc.state import ROOM, State
 
 CELLS = (13, 14, 17)
 MIXED = dict(zip(SIDES, ("symmetry", "outflow", "free", "fixed", "outflow", "free")))
@@ -158,6 +158,26 @@ def test_memory_of_work_fields_is_given_back_and_no_other():
             assert (view[1] != 3.0).any()
     state.views["force_x"][...] = 2.0  # it can be written again
     assert (state.views["force_x"] == 2.0).all()
+
+
+@pytest.mark.mpi
+def test_memory_of_rows_far_from_material_is_given_back_and_no_other():
+    """Fails when ``release_empty`` keeps no ``ROOM``, forgets the row of nodes more, or takes axis j for k."""
+    state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, False)
+    for view in state.views.values():
+        view[...] = 3.0
+    state.active[:] = 0
+    ny = state.active.shape[1]
+    state.active[:10] = 1
+    state.active[30, ny - 1, 0] = 1
+    state.release_empty()
+    for view in state.views.values():
+        assert (view[:10 + ROOM] == 3.0).all()
+        assert (view[30 - ROOM:31 + ROOM, ny - 1 - ROOM:] == 3.0).all()
+        for planes in (slice(16, 24), slice(38, None)):
+            kept = np.count_nonzero(view[planes])
+            assert kept < 2 * mmap.PAGESIZE // 8
+        assert np.count_nonzero(view[30, :ny - 5 - ROOM]) < 2 * mmap.PAGESIZE // 8
 
 
 @pytest.mark.mpi

@@ -27,6 +27,10 @@ from f2s_hpc.solver import sleep
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.workload.balance import balance_of_run
 
+REMAPS_PER_RELEASE = 64
+"""How often the memory of what particles have flown past is given back: often enough that it does not add up, so rarely
+that it costs nothing (some milliseconds)."""
+
 RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
 
 
@@ -183,6 +187,8 @@ class Simulation:
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
             if self.startup is None:
                 self.startup = measure.process_age(), measure.peak_memory()
+            if clock.remaps % REMAPS_PER_RELEASE == 0:
+                self.state.release_empty()
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
             if clock.time >= self.next_frame_time:
                 self._frame()

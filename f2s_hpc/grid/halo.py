@@ -73,7 +73,15 @@ class Pool:
     def release(self, names: Iterable[str]) -> None:
         """Give the memory of the named fields back until they are written again; what they hold is lost."""
         for name in names:
-            give_back(self._pages, 8 * self.offsets[name], 8 * self.offsets[name] + self.views[name].nbytes)
+            self.release_rows(name, 0, self.views[name][..., 0].size)
+
+    def release_rows(self, name: str, first: int, end: int) -> None:
+        """Give the memory of some rows of a field back, [k, j] counted in one go; what they hold is lost or was zero.
+
+        The memory of pages that belong to other rows too is kept.
+        """
+        row = 8 * self.views[name].shape[2]
+        give_back(self._pages, 8 * self.offsets[name] + first * row, 8 * self.offsets[name] + end * row)
 
     def cover(self, plane: int) -> None:
         """Exchange the ghosts up to ``plane`` (global k) and somewhat above: the highest plane with material.
