@@ -95,12 +95,15 @@ def _on_ranks(scene: str, settings: Sequence[str], folder: pathlib.Path, ranks: 
 def per_particle(wide: pathlib.Path, out: pathlib.Path, ranks: int, launcher: str) -> str:
     """Return the cost per particle of a finished run of wide-100k against section4, and against a patch of itself.
 
-    Both with its cells, on ``ranks`` ranks; by cell-steps, which do not depend on what else the machine does, and by
-    the clock. The powder is the same; the deposit of section4 is twice as high at its end.
+    Both with its cells and cycles, on ``ranks`` ranks; by cell-steps, which do not depend on what else the machine
+    does, and by the clock. Powder and number of cycles are the same, so their deposits are as high.
     """
-    many, domain = runs.read_summary(wide), read_scene_text(wide)["domain"]
-    cells, patch = f"domain.cell_size={domain['cell_size']}", [s.format(height=domain["size"][2]) for s in PATCH]
-    few = {"section4": _on_ranks("section4", [cells], out / "section4", ranks, launcher),
+    many, scene = runs.read_summary(wide), read_scene_text(wide)
+    domain, cycles = scene["domain"], scene["cycles"]
+    patch = [s.format(height=domain["size"][2]) for s in PATCH]
+    alike = [f"domain.cell_size={domain['cell_size']}", f"cycles.count={cycles['count']}",
+             f"cycles.last_duration={cycles['last_duration']}"]
+    few = {"section4": _on_ranks("section4", alike, out / "section4", ranks, launcher),
            "a patch of wide-100k": _on_ranks("wide-100k", patch, out / "patch", ranks, launcher)}
     lines = [(f"cells of {domain['cell_size']}: wide-100k {many['particles']:,} particles, {many['wall_s']:.0f} s on "
               f"{many['ranks']} ranks, {many['peak_memory_bytes'] / 1e9:.2f} GB")]
