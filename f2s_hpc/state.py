@@ -92,7 +92,11 @@ class State:
 
         Near the low and high end of the box are the ghosts, and what they mirror.
         """
-        planes = self._filled(array)
+        return self.of_planes(self._filled(array))
+
+    def of_planes(self, planes: np.ndarray) -> np.ndarray:
+        """Return, as ``active`` is, all blocks of the ``planes`` (bool [k]), and those near the ends of the box."""
+        planes = planes.copy()
         planes[:2 * GHOST] = planes[-2 * GHOST:] = True
         return np.repeat(planes, self.active[0].size).reshape(self.active.shape).astype(np.uint8)
 
@@ -103,13 +107,29 @@ class State:
         """
         if self._untouched:
             self.active[:] = 0
-        planes = np.flatnonzero(self._filled(self.views["mass"]))
-        self.pool.cover(int(mpi.maximum(np.int64(planes.max(initial=0) + self.part.offset[2]))))
+        self._settle_mass(self._filled(self.views["mass"]))
+        self.exchange(self.ghosted)
+
+    def settle_planes(self, planes: slice) -> None:
+        """Do the same for material that was put into ``planes`` (local k) only, between two steps.
+
+        Fills the ghosts that the next step reads; those of what was not put in stay as they are.
+        """
+        filled = self.active.any(axis=(1, 2))
+        filled[planes] = True
+        self._settle_mass(filled)
+        self.exchange(("volume_fraction",))
+        self.exchange(self.carried_cells, layers=1)
+        self.exchange(fields.VELOCITY)
+
+    def _settle_mass(self, filled: np.ndarray) -> None:
+        """Fill the ghosts of mass and find the active blocks in the ``filled`` planes (bool [k])."""
+        highest = np.flatnonzero(filled).max(initial=0)
+        self.pool.cover(int(mpi.maximum(np.int64(highest + self.part.offset[2]))))
         self.pool.exchange(("mass",))
-        where = self.around(self.views["mass"])
+        where = self.of_planes(filled)
         self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), where)
         self.update_activity(where)
-        self.exchange(self.ghosted)
 
     def update_activity(self, look: np.ndarray | None = None) -> None:
         """Find the active blocks from the present mass; zero what has just fallen outside them.

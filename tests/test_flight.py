@@ -7,6 +7,7 @@ import pytest
 from solver_setup import make_model, make_setup
 
 from f2s_hpc import mpi
+from f2s_hpc.cycles import insert
 from f2s_hpc.cycles.flight import CLEARANCE, LOOK, REACH, Flight
 from f2s_hpc.cycles.insert import OVERFILL, paint_arrivals
 from f2s_hpc.errors import UnstableStep
@@ -51,6 +52,30 @@ def test_a_sphere_is_painted_when_the_surface_is_within_reach_and_not_before(set
     assert REACH * DX < gap <= REACH * DX + 2 * LOOK * 0.2 * DX
     assert gap > (REACH + 2 * LOOK * 0.2 - LOOK * 0.2) * DX - 0.3 * DX
     assert flight.count == 0
+
+
+@pytest.mark.parametrize("own", [None, [(0.0, 0.0, -600.0), (9.0, 0.0, -590.0)]])
+@pytest.mark.parametrize("z", [(19e-6, 70e-6), (60e-6, 75e-6), (95e-6, 112e-6)])
+def test_painting_looks_at_the_planes_of_the_spheres_only_and_gives_the_same_bits(z, own):
+    """At the bottom, in the middle and at the top; every ghost that a step reads too: ten steps follow.
+
+    Fails if ``paint_arrivals`` leaves out a plane (``np.floor`` for ``np.ceil``).
+    """
+    found = []
+    for paint in (paint_arrivals, insert.paint_batch):
+        setup = make_setup(CELLS, make_model(DX), substrate=3)
+        batch = spheres((2e-6, 30e-6, z[0], 9e-6), (50e-6, 57e-6, z[1], 7e-6), velocity=own)
+        if paint is paint_arrivals:
+            paint(setup.state, setup.model, (batch, DOWN), 700.0, setup.ledger)
+        else:
+            paint(setup.state, setup.model, batch, 0.0, DOWN, 700.0, setup.ledger, 1)
+        setup.clock.limits.put_in(600.0, DX)
+        setup.advance(10)
+        found.append(([setup.state.owned(n).copy() for n in setup.state.saved], setup.ledger.totals()))
+    for one, other in zip(found[0][0], found[1][0]):
+        assert np.array_equal(one, other)
+    assert found[0][1] == found[1][1]
+    assert found[0][1]["brought_in"] > 0
 
 
 def test_what_arrives_is_all_that_was_launched(setup):
@@ -140,6 +165,7 @@ def test_a_sphere_that_does_not_fit_under_the_top_stops_the_run_on_all_ranks(set
     """Fails if the part above the top is cut off in silence."""
     flight = Flight(DX, setup.state.part.box.extents)
     setup.state.views["mass"][-12:-4] = 1.0
+    setup.activate()
     top = setup.state.part.box.extents[2]
     flight.launch(setup.state, spheres((30e-6, 30e-6, top + 20e-6, 9e-6)), DOWN, 0.0)
     with pytest.raises(UnstableStep, match="top of the box"):

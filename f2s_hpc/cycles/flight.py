@@ -106,7 +106,8 @@ class Flight:
         None if there are none. Where all have that velocity the batch names none of its own. Collective.
 
         Looks every ``LOOK`` calls. ``dt``: time between the last two remaps (s), from which the way to the next look
-        follows. Raises ``UnstableStep`` if a sphere meets material where it does not fit into the box.
+        follows. Looks no higher than the highest active plane. Raises ``UnstableStep`` if a sphere meets material where
+        it does not fit into the box.
         """
         self.calls += 1
         if self.count == 0 or (self.calls - 1) % LOOK:
@@ -115,8 +116,10 @@ class Flight:
         now = self.at(time)
         reach = REACH * self.dx + ahead * np.linalg.norm(self.velocity, axis=1)
         near = np.zeros(self.count)
+        k0, k1, *across = state.owned_window()
+        window = (k0, min(k1, state.highest_plane() - state.part.offset[2] + 1), *across)
         paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, self.velocity, SAME, state.part.offset, self.dx,
-                                    state.owned_window(), *(state.views[n] for n in ("mass", *VELOCITY)), near)
+                                    window, *(state.views[n] for n in ("mass", *VELOCITY)), near)
         inside = now.z + now.r <= self.extents[2]
         touches = mpi.maximum(near) > 0.0
         if (touches & ~inside).any():

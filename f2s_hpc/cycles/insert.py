@@ -7,6 +7,7 @@ batch: mass is neither created nor lost, and the report says how many were moved
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -156,13 +157,21 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
 
 def paint_arrivals(state: State, model: Model, arrived: tuple[Batch, tuple[float, float, float]], temperature: float,
                    ledger: Ledger) -> None:
-    """Put spheres at the end of their flight (z from the bottom of the box) into the box, ghosts included."""
+    """Put spheres at the end of their flight (z from the bottom of the box) into the box; collective.
+
+    Called between two steps. Looks at the planes of the spheres only: of a wide box that is little, and many land.
+    The ghosts that the next step reads are valid after.
+    """
     batch, velocity = arrived
-    _add(state, model, batch, velocity, temperature, ledger, InsertReport(spheres=batch.count))
+    ends = np.array([np.floor((batch.z - batch.r).min() / state.part.box.dx),
+                     np.ceil((batch.z + batch.r).max() / state.part.box.dx)]).astype(np.int64) - state.part.offset[2]
+    low, high = np.clip(ends, 0, state.part.cell_shape[0]).tolist()
+    _add(state, model, batch, velocity, temperature, ledger, InsertReport(spheres=batch.count),
+         slice(low, high))
 
 
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
-         ledger: Ledger, report: InsertReport) -> None:
+         ledger: Ledger, report: InsertReport, planes: slice | None = None) -> None:
     added = sparse_zeros(state.part.cell_shape)
     spheres = (batch.x, batch.y, batch.z, batch.r)
     if batch.velocity is None:
@@ -170,41 +179,55 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
     else:
         velocity = tuple(sparse_zeros(state.part.cell_shape) for _ in range(3))
         paint.add_moving_spheres(*spheres, batch.velocity, state.part.offset, state.part.box.dx, added, *velocity)
-    quanta = add_material(state, model, added, velocity, temperature, ledger)
+    quanta = add_material(state, model, added, velocity, temperature, ledger, planes)
     report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3
 
 
 def add_material(state: State, model: Model, added: np.ndarray,
                  velocity: tuple[float, float, float] | tuple[np.ndarray, np.ndarray, np.ndarray],
-                 temperature: float, ledger: Ledger) -> int:
+                 temperature: float, ledger: Ledger, planes: slice | None = None) -> int:
     """Add ``added`` (full cells, local cells with ghosts) to the cells, stress-free; return its mass on this rank.
 
     The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s), one for all
     or as three arrays like ``added``, is mixed into the nodes by momentum, ``temperature`` (K) into the cells by mass.
-    Mass and kinetic energy enter the ledger. Collective; all ghosts are valid after.
+    ``planes``: the planes (local k) that hold all of ``added``, ghosts included; then only those are looked at, and
+    what is active must be known. Mass and kinetic energy enter the ledger. Collective; all ghosts are valid after, or
+    with ``planes`` those that the next step reads.
     """
     flat, part = state.flat, state.part
     own = isinstance(velocity[0], np.ndarray)
-    where = state.around(added)
+    if planes is None:
+        planes = slice(0, part.cell_shape[0])
+        where, settle = state.around(added), state.settle
+        state.update_activity(state.around(state.views["mass"]))
+    else:
+        chosen = np.zeros(part.cell_shape[0], dtype=np.bool_)
+        chosen[planes] = True
+        where, settle = state.of_planes(chosen), functools.partial(state.settle_planes, planes)
     # a mirrored normal velocity keeps its sign here, which does not matter: the nodes on its wall are held
     for array in (added, *(velocity if own else ())):
         state.boundary.fill(array.reshape(-1), _ALONE, ("mass",), where)
-    before = kinetic_quanta(state, model)
+    before = _kinetic_quanta(state, model, planes)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
-    paint.merge_cells(added.reshape(-1), flat["mass"], flat["volume_fraction"], flat["temperature"], temperature,
-                      state.pool.memory, diluted)
+    plane = part.cell_shape[1] * part.cell_shape[2]
+    cells = slice(planes.start * plane, planes.stop * plane)
+    paint.merge_cells(added.reshape(-1)[cells], *(flat[n][cells] for n in ("mass", "volume_fraction", "temperature")),
+                      temperature, state.pool.memory, diluted + cells.start)
     if ORIGIN in state.views:
-        new = added > 0.0
-        state.views[ORIGIN][new] += added[new] / state.views["mass"][new]  # the old share was diluted just now
+        there, mass, share = added[planes], state.views["mass"][planes], state.views[ORIGIN][planes]
+        new = there > 0.0
+        share[new] += there[new] / mass[new]  # the old share was diluted just now
+    bounds = (planes.start, planes.stop)
     if own:
-        paint.merge_moving_nodes(part.cell_shape, added.reshape(-1), flat["mass"],
+        paint.merge_moving_nodes(part.cell_shape, bounds, added.reshape(-1), flat["mass"],
                                  tuple(component.reshape(-1) for component in velocity), *state.velocity)
     else:
-        paint.merge_nodes(part.cell_shape, added.reshape(-1), flat["mass"], velocity, *state.velocity)
+        paint.merge_nodes(part.cell_shape, bounds, added.reshape(-1), flat["mass"], velocity, *state.velocity)
     state.boundary.hold([state.views[n] for n in VELOCITY])
-    state.settle()
-    ledger.add("brought_in", kinetic_quanta(state, model) - before)
-    quanta = mass_quanta(added[part.owned_cells], model.mass_quantum)
+    settle()
+    ledger.add("brought_in", _kinetic_quanta(state, model, planes) - before)
+    k0, k1 = max(planes.start, GHOST), min(planes.stop, part.owned_cells[0].stop)
+    quanta = mass_quanta(added[k0:max(k0, k1), *part.owned_cells[1:]], model.mass_quantum)
     ledger.add("mass_painted", quanta)
     return quanta
 
@@ -212,9 +235,15 @@ def add_material(state: State, model: Model, added: np.ndarray,
 def kinetic_quanta(state: State, model: Model) -> int:
     """Return the kinetic energy of the owned nodes in quanta, an exact sum."""
     state.update_activity(state.around(state.views["mass"]))
+    return _kinetic_quanta(state, model, slice(0, state.part.cell_shape[0]))
+
+
+def _kinetic_quanta(state: State, model: Model, planes: slice) -> int:
+    """Return the same for the nodes of some ``planes`` of cells (local k), where what is active is known."""
+    k0, k1, *across = state.node_window()
+    window = (max(k0, planes.start), min(k1, planes.stop + 1), *across)
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
-    remap.nodal_masses(runs, count, state.node_window(), shape, state.flat["mass"], state.flat["nodal_mass"])
-    return int(momentum.kinetic_energy(runs, count, state.node_window(), shape, state.boundary.weights,
-                                       state.flat["nodal_mass"], *state.velocity, model.energy_quantum, model.dx,
-                                       model.bulk.density))
+    remap.nodal_masses(runs, count, window, shape, state.flat["mass"], state.flat["nodal_mass"])
+    return int(momentum.kinetic_energy(runs, count, window, shape, state.boundary.weights, state.flat["nodal_mass"],
+                                       *state.velocity, model.energy_quantum, model.dx, model.bulk.density))

@@ -167,13 +167,14 @@ def merge_cells(added, mass, fraction, temperature, new_temperature, memory, dil
 
 
 @kernel
-def merge_nodes(shape, added, mass, velocity, u, v, w):
+def merge_nodes(shape, planes, added, mass, velocity, u, v, w):
     """Give the nodes the momentum of material moving at ``velocity`` (m/s) that was added to their cells.
 
-    ``mass`` is the mass after the addition; call on cell arrays with ghosts, node arrays one larger.
+    ``mass`` is the mass after the addition; call on cell arrays with ghosts, node arrays one larger. ``planes``: first
+    and end plane of cells that were given something.
     """
     nz, ny, nx = shape
-    for k in range(1, nz):
+    for k in range(max(planes[0], 1), min(planes[1] + 1, nz)):
         for j in range(1, ny):
             for i in range(1, nx):
                 new, whole = 0.0, 0.0
@@ -195,14 +196,14 @@ def merge_nodes(shape, added, mass, velocity, u, v, w):
 
 
 @kernel
-def merge_moving_nodes(shape, added, mass, velocity, u, v, w):
+def merge_moving_nodes(shape, planes, added, mass, velocity, u, v, w):
     """Give the nodes the momentum of added material as :func:`merge_nodes` does, each cell's at its own ``velocity``.
 
     ``velocity``: three flat cell arrays (m/s). Cells of one velocity give their node its very bits.
     """
     nz, ny, nx = shape
     cu, cv, cw = velocity
-    for k in range(1, nz):
+    for k in range(max(planes[0], 1), min(planes[1] + 1, nz)):
         for j in range(1, ny):
             for i in range(1, nx):
                 new, whole, nu, nv, nw = 0.0, 0.0, 0.0, 0.0, 0.0

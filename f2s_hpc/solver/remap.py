@@ -14,6 +14,9 @@ from f2s_hpc.state import State
 
 SWEEP_ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
 
+LAYERS_OF_CELLS, LAYERS_OF_NODES = 2, 3
+"""Layers of ghosts that a sweep of cells (third order) and of nodes (fifth order) reads along its axis."""
+
 
 def sweep_order(number: int) -> tuple[int, int, int]:
     """Return the axes in the order in which the remap of this number sweeps them."""
@@ -36,7 +39,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     order = sweep_order(number)
     state.exchange(("volume_fraction",))
     absorbing.lend_mass(state, model, ledger)
-    state.exchange(state.carried_cells, axis=order[0])
+    state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[0])
     for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)
         _count_energy_out(state, model, axis, ledger)
@@ -52,8 +55,8 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
         state.boundary.hold([state.views[n] for n in VELOCITY])
         state.exchange(("mass", "volume_fraction"))
         if position < 2:
-            state.exchange(state.carried_cells, axis=order[position + 1])
-            state.exchange(VELOCITY, axis=order[position + 1])
+            state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[position + 1])
+            state.exchange(VELOCITY, LAYERS_OF_NODES, order[position + 1])
         else:
             state.exchange(state.carried_cells, layers=1)
             state.exchange(VELOCITY)
