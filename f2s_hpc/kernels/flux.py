@@ -179,6 +179,13 @@ def mass_fluxes(runs, count, window, shape, axis, second, density, mass, fractio
                        mass_flux[a:a + n])
 
 
+@inlined
+def _strides(shape, axis):
+    """Return the strides of a node-shaped array along ``axis`` and along the two others, the lower axis first."""
+    strides = (1, shape[1] + 1, (shape[1] + 1) * (shape[0] + 1))
+    return strides[axis], strides[0 if axis else 1], strides[1 if axis == 2 else 2]
+
+
 @kernel
 def mass_through_plane(mass_flux, plane, shape, lows, highs, axis, outward, quantum):
     """Return the mass that leaves through one plane of faces normal to ``axis``, in units of ``quantum`` (full cells).
@@ -186,12 +193,11 @@ def mass_through_plane(mass_flux, plane, shape, lows, highs, axis, outward, quan
     An exact integer. ``lows``, ``highs``: index bounds of the cells along the two other axes, lower axis first;
     ``outward``: +1 on a high side, -1 on a low one.
     """
-    strides = (1, shape[1] + 1, (shape[1] + 1) * (shape[0] + 1))
-    p, q = strides[0 if axis else 1], strides[1 if axis == 2 else 2]
+    normal, p, q = _strides(shape, axis)
     total = np.int64(0)
     for b in range(lows[1], highs[1]):
         for a in range(lows[0], highs[0]):
-            left = outward * mass_flux[plane * strides[axis] + a * p + b * q]
+            left = outward * mass_flux[plane * normal + a * p + b * q]
             if left != 0.0:
                 total += np.int64(math.floor(left / quantum + 0.5))
     return total
@@ -205,13 +211,12 @@ def energy_through_plane(mass_flux, plane, shape, lows, highs, axis, outward, we
     ``highs``: index bounds of the nodes along the two other axes, lower axis first; ``weights``: per axis, the share of
     each plane of nodes that lies inside the box; ``outward`` as in :func:`mass_through_plane`.
     """
-    strides = (1, shape[1] + 1, (shape[1] + 1) * (shape[0] + 1))
-    p, q = strides[0 if axis else 1], strides[1 if axis == 2 else 2]
+    normal, p, q = _strides(shape, axis)
     along, across = weights[0 if axis else 1], weights[1 if axis == 2 else 2]
     total = np.int64(0)
     for b in range(lows[1], highs[1]):
         for a in range(lows[0], highs[0]):
-            n = plane * strides[axis] + a * p + b * q
+            n = plane * normal + a * p + b * q
             left = 0.25 * outward * ((mass_flux[n] + mass_flux[n - p]) + (mass_flux[n - q] + mass_flux[n - p - q]))
             if left != 0.0:
                 inside = along[a] * across[b] * left

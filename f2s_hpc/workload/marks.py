@@ -63,6 +63,21 @@ def mark_solid(blocks, height, ghosts, block):
 
 
 @kernel
+def _disc(x, y, wide, nx, ny):
+    """Return the columns (j, i) whose centres lie within ``wide`` of (x, y): int64 [n, 2], rows in order."""
+    a0, a1 = max(int(math.floor(x - wide)), 0), min(int(math.floor(x + wide)) + 1, nx)
+    b0, b1 = max(int(math.floor(y - wide)), 0), min(int(math.floor(y + wide)) + 1, ny)
+    columns = np.empty((max(b1 - b0, 0) * max(a1 - a0, 0), 2), dtype=np.int64)
+    count = 0
+    for b in range(b0, b1):
+        for a in range(a0, a1):
+            if (a + 0.5 - x) ** 2 + (b + 0.5 - y) ** 2 <= wide * wide:
+                columns[count, 0], columns[count, 1] = b, a
+                count += 1
+    return columns[:count]
+
+
+@kernel
 def land(height, x, y, z, r, flying, spread):
     """Let the spheres whose centre is at or below the surface become part of it; return how many did.
 
@@ -81,48 +96,46 @@ def land(height, x, y, z, r, flying, spread):
         flying[s] = False
         landed += 1
         wide = max(spread * r[s], 1.0)
-        a0, a1 = max(int(math.floor(x[s] - wide)), 0), min(int(math.floor(x[s] + wide)) + 1, nx)
-        b0, b1 = max(int(math.floor(y[s] - wide)), 0), min(int(math.floor(y[s] + wide)) + 1, ny)
-        cells, lowest = 0, math.inf
-        for b in range(b0, b1):
-            for a in range(a0, a1):
-                if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide:
-                    cells += 1
-                    lowest = min(lowest, height[b, a])
-        if cells == 0:
+        columns = _disc(x[s], y[s], wide, nx, ny)
+        if len(columns) == 0:
             continue
-        volume = 4.0 / 3.0 * math.pi * r[s] ** 3 * min(cells / (math.pi * wide * wide), 1.0)
+        lowest = math.inf
+        for b, a in columns:
+            lowest = min(lowest, height[b, a])
+        volume = 4.0 / 3.0 * math.pi * r[s] ** 3 * min(len(columns) / (math.pi * wide * wide), 1.0)
         low, high = lowest, lowest + volume
         for _ in range(40):
             level, needed = 0.5 * (low + high), 0.0
-            for b in range(b0, b1):
-                for a in range(a0, a1):
-                    if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide:
-                        needed += max(level - height[b, a], 0.0)
+            for b, a in columns:
+                needed += max(level - height[b, a], 0.0)
             if needed < volume:
                 low = level
             else:
                 high = level
             if high - low < 1e-3:
                 break
-        for b in range(b0, b1):
-            for a in range(a0, a1):
-                if (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2 <= wide * wide:
-                    height[b, a] = max(height[b, a], high)
+        for b, a in columns:
+            height[b, a] = max(height[b, a], high)
     return landed
+
+
+@kernel
+def _within_reach(height, x, y, z, wide):
+    """Return whether a column of the surface comes within ``wide`` of the point (x, y, z)."""
+    ny, nx = height.shape
+    for b in range(max(int(math.floor(y - wide)), 0), min(int(math.floor(y + wide)) + 1, ny)):
+        for a in range(max(int(math.floor(x - wide)), 0), min(int(math.floor(x + wide)) + 1, nx)):
+            across = (a + 0.5 - x) ** 2 + (b + 0.5 - y) ** 2
+            below = max(z - height[b, a], 0.0)
+            if across + below * below <= wide * wide:
+                return True
+    return False
 
 
 @kernel
 def near_surface(height, x, y, z, r, reach):
     """Return, for each sphere, whether the surface ``height`` (cells, [j, i]) is within ``reach`` of it, bool [n]."""
-    ny, nx = height.shape
     near = np.zeros(x.size, dtype=np.bool_)
     for s in range(x.size):
-        wide = r[s] + reach
-        for b in range(max(int(math.floor(y[s] - wide)), 0), min(int(math.floor(y[s] + wide)) + 1, ny)):
-            for a in range(max(int(math.floor(x[s] - wide)), 0), min(int(math.floor(x[s] + wide)) + 1, nx)):
-                across = (a + 0.5 - x[s]) ** 2 + (b + 0.5 - y[s]) ** 2
-                below = max(z[s] - height[b, a], 0.0)
-                if across + below * below <= wide * wide:
-                    near[s] = True
+        near[s] = _within_reach(height, x[s], y[s], z[s], r[s] + reach)
     return near
