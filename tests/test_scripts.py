@@ -21,8 +21,9 @@ from conftest import ROOT, launch
 from f2s_hpc.doctor import launch_environment
 
 SHELL_FILES = ["scripts/setup", "scripts/quickstart", "scripts/test", "scripts/env.sh", ".ci/run", "jobs/common.sh",
-               "jobs/section4.sh", "jobs/wide-100k.sh", "jobs/chain.sh", "jobs/strong-scaling.sh",
-               "jobs/weak-scaling.sh"]
+               "jobs/section4.sh", "jobs/wide-100k.sh", "jobs/multitrack.sh", "jobs/chain.sh",
+               "jobs/strong-scaling.sh", "jobs/weak-scaling.sh"]
+JOBS = ["section4", "wide-100k", "multitrack", "chain", "strong-scaling", "weak-scaling"]
 FAKE_MPIRUN = 'shift 2\nexec "$@"'
 
 
@@ -60,12 +61,12 @@ def test_shell_syntax(name):
     assert os.access(ROOT / name, os.X_OK) or name in ("scripts/env.sh", "jobs/common.sh")
 
 
-@pytest.mark.parametrize("job", ["section4", "wide-100k", "chain", "strong-scaling", "weak-scaling"])
+@pytest.mark.parametrize("job", JOBS)
 def test_job_dry_run_prints_its_commands(project, job):
     done = bash([f"jobs/{job}.sh"], project, DRY_RUN="1", SLURM_NTASKS="4", OUT="runs/here")
     assert done.returncode == 0, done.stderr
     commands = done.stdout.splitlines()
-    scene = "wide-100k" if job == "wide-100k" else "section4"
+    scene = job if job in ("wide-100k", "multitrack") else "section4"
     assert all(re.match(rf"mpirun -n \d+ f2s run {scene} --out runs/here", line) for line in commands)
     ranks = [int(line.split()[2]) for line in commands]
     assert ranks == ([1, 1, 2, 4] if "scaling" in job else [4])
@@ -125,7 +126,7 @@ def test_chain_resubmits_itself_where_requeueing_is_off(project):
     assert int((project / "directives").read_text()) >= 8
 
 
-@pytest.mark.parametrize("job", ["section4", "wide-100k", "chain", "strong-scaling", "weak-scaling"])
+@pytest.mark.parametrize("job", JOBS)
 def test_jobs_run_under_slurm_and_tell_where(project, job):
     """Every job through fake commands of SLURM: launched by srun, kernels on the node's disk, provenance written."""
     write_command(project / ".venv/bin/srun", 'echo "$*" >>calls\nwhile [ "$1" != f2s ]; do shift; done\nexec "$@"')
