@@ -23,17 +23,17 @@ from f2s_hpc.workload import marks
 SPREAD = 1.4
 """Width of a landed particle over its diameter: what splats of copper at 500 to 700 m/s have (see ``f2s verify``)."""
 
-CALM, ON_GRID = 4.0, 11.0
+CALM, ON_GRID = 4.0, 10.0
 """Distance to the surface (in cells) below which flying particles are on the grid, while none lands and while some do.
 By the rule of ballistic flight it is always the first, but of what splashes and of particles that are being stopped the
-surface here knows nothing. Measured: the active cells of section4 at 6 and 3 um, wide-100k and track-160 at 8 and 4 um
-are met within 10 % in each cycle."""
+surface here knows nothing. Measured: the cell-steps of section4 at 6 and 3 um, wide-100k and track-160 at 8 and 4 um
+are met within 5 %."""
 
-BUSY_PACE, BY_CELLS, BY_NUMBER, BY_DENSITY = 1.58, 0.16, 0.3, 0.6
+BUSY_PACE, BY_CELLS, BY_NUMBER, BY_DENSITY = 1.53, 0.2, 0.2, 0.3
 """Steps per time while particles land, over those at rest, for what is ``USUAL`` (shock viscosity, speed and strain
 shorten them); and what is added for twice as many cells per diameter, for ten times as many that land at once, since
-the fastest of all counts, and for ten times as many on a square millimetre. Measured: 1.6 and 1.75 in section4 at 6 and
-3 um, 1.4 and 1.55 in track-160 at 8 and 4 um, 2.2 in wide-100k."""
+the fastest of all counts, and for ten times as many on a square millimetre. Measured: 1.58 and 1.74 in section4 at 6
+and 3 um, 1.42 and 1.58 in track-160 at 8 and 4 um, 1.71 in wide-100k, 1.26 in the quick start; met within 4 %."""
 
 USUAL = (3.6, 54.0, 445.0)
 """Cells per mean diameter (by number), spheres that land at once and their number on a square millimetre: those of
