@@ -115,7 +115,7 @@ class State:
 
         Fills the ghosts that the next step reads; those of what was not put in stay as they are.
         """
-        filled = self.active.any(axis=(1, 2))
+        filled = self.active_planes()
         filled[planes] = True
         self._settle_mass(filled)
         self.exchange(("volume_fraction",))
@@ -166,6 +166,10 @@ class State:
             runs = activity.empty_list(2 * count, 4)
             activity.list_runs(active, row_length, runs)
         return runs, count
+
+    def active_planes(self) -> np.ndarray:
+        """Return which planes of cells (bool, local k) hold active blocks, asleep or not."""
+        return self.active.any(axis=(1, 2))
 
     def highest_plane(self) -> int:
         """Return the highest plane of cells (global k) that is active and awake on this rank; -1 if none is."""

@@ -117,7 +117,7 @@ class Flight:
         reach = REACH * self.dx + ahead * np.linalg.norm(self.velocity, axis=1)
         near = np.zeros(self.count)
         k0, k1, *across = state.owned_window()
-        window = (k0, min(k1, state.highest_plane() - state.part.offset[2] + 1), *across)
+        window = (k0, min(k1, int(np.flatnonzero(state.active_planes()).max(initial=-1)) + 1), *across)
         paint.spheres_near_material(now.x, now.y, now.z, now.r + reach, self.velocity, SAME, state.part.offset, self.dx,
                                     window, *(state.views[n] for n in ("mass", *VELOCITY)), near)
         inside = now.z + now.r <= self.extents[2]

@@ -166,8 +166,7 @@ def paint_arrivals(state: State, model: Model, arrived: tuple[Batch, tuple[float
     ends = np.array([np.floor((batch.z - batch.r).min() / state.part.box.dx),
                      np.ceil((batch.z + batch.r).max() / state.part.box.dx)]).astype(np.int64) - state.part.offset[2]
     low, high = np.clip(ends, 0, state.part.cell_shape[0]).tolist()
-    _add(state, model, batch, velocity, temperature, ledger, InsertReport(spheres=batch.count),
-         slice(low, high))
+    _add(state, model, batch, velocity, temperature, ledger, InsertReport(spheres=batch.count), slice(low, high))
 
 
 def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float, float], temperature: float,
