@@ -107,7 +107,9 @@ class State:
         """
         if self._untouched:
             self.active[:] = 0
-        self._settle_mass(self._filled(self.views["mass"]))
+        self._exchange_mass(self._filled(self.views["mass"]))
+        # (looked for again: by now ghosts hold what other ranks put in)
+        self._find_active(self.around(self.views["mass"]))
         self.exchange(self.ghosted)
 
     def settle_planes(self, planes: slice) -> None:
@@ -117,17 +119,20 @@ class State:
         """
         filled = self.active_planes()
         filled[planes] = True
-        self._settle_mass(filled)
+        self._exchange_mass(filled)
+        self._find_active(self.of_planes(filled))
         self.exchange(("volume_fraction",))
         self.exchange(self.carried_cells, layers=1)
         self.exchange(fields.VELOCITY)
 
-    def _settle_mass(self, filled: np.ndarray) -> None:
-        """Fill the ghosts of mass and find the active blocks in the ``filled`` planes (bool [k])."""
+    def _exchange_mass(self, filled: np.ndarray) -> None:
+        """Fetch the ghosts of mass from the neighbours, up to the highest of the ``filled`` planes (bool [k])."""
         highest = np.flatnonzero(filled).max(initial=0)
         self.pool.cover(int(mpi.maximum(np.int64(highest + self.part.offset[2]))))
         self.pool.exchange(("mass",))
-        where = self.of_planes(filled)
+
+    def _find_active(self, where: np.ndarray) -> None:
+        """Fill the ghosts of mass behind the sides and find the active blocks, looking ``where`` (as ``active``)."""
         self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), where)
         self.update_activity(where)
 
