@@ -88,6 +88,9 @@ def test_check_prints_bytes_per_cell(run_f2s):
 
 BASE = {f.name for f in fields.FIELDS} - {"internal_energy", "particle_fraction", "lent_mass"}
 
+FINE = {"section4", "section4-standard", "multitrack", "track-160", "track-120", "track-80", "splat", "splat-quarter"}
+"""Scenes whose cells are fine enough for fewer remaps."""
+
 
 @pytest.mark.parametrize("name", scene_names())
 def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
@@ -97,7 +100,10 @@ def test_built_in_scenes_allocate_what_they_need_and_no_more(name):
     coarse = {"wide-100k": "80 um", "section4": "15 um", "section4-standard": "15 um", "multitrack": "15 um"}.get(
         name, "16 um" if name.startswith("track") else None)
     size = [f"domain.cell_size={coarse}"] if coarse else []
-    for overrides, missing in (([], set()), (["numerics.loss_heating=false"], {"lost_energy"}),
+    remaps = set() if name in FINE else set(fields.DISPLACEMENT)
+    assert {f.name for f in load_scene(name, []).needed_fields} == BASE - remaps
+    for overrides, missing in ((["numerics.steps_per_remap=8"], set()),
+                               (["numerics.steps_per_remap=8", "numerics.loss_heating=false"], {"lost_energy"}),
                                (["numerics.steps_per_remap=1"], set(fields.DISPLACEMENT))):
         state = build_state(load_scene(name, [*size, *overrides]))
         assert set(state.views) == BASE - missing, name

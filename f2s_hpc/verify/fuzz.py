@@ -98,13 +98,16 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def _numerics(draw: np.random.Generator) -> list[str]:
-    """Return settings of the scheme: half of the scenes keep the defaults, the rest change about a third of them."""
+    """Return settings of the scheme: half of the scenes keep the defaults, the rest change about a third of them.
+
+    Half of all take several steps between two remaps, whatever their cells.
+    """
     lines = ["[numerics]"]
-    if draw.random() < 0.5:
-        return lines
-    lines += [f"{name} = {draw.uniform(*_bounds(name)):.4f}" for name in _NUMERICS if draw.random() < 0.3]
-    switches = {"viscous_heating": "false", "conduction": "false", "remap_order": "1"}
-    return lines + [f"{name} = {value}" for name, value in switches.items() if draw.random() < 0.2]
+    if draw.random() >= 0.5:
+        lines += [f"{name} = {draw.uniform(*_bounds(name)):.4f}" for name in _NUMERICS if draw.random() < 0.3]
+        switches = {"viscous_heating": "false", "conduction": "false", "remap_order": "1"}
+        lines += [f"{name} = {value}" for name, value in switches.items() if draw.random() < 0.2]
+    return lines + (["steps_per_remap = 8"] if draw.random() < 0.5 else [])
 
 
 def run(count: int, seed: int = 1, numerics: Sequence[str] = (), first: int = 0,
