@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from f2s_hpc.bench import crowd
 from f2s_hpc.bench import rates as measured
 from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
@@ -17,7 +19,7 @@ from f2s_hpc.workload import marks
 from f2s_hpc.workload.expected import ON_GRID, moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
 
-RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 2e9, ((0, 3), (10, 4)), 1, 1, "a test")
+RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 1.0, 2e9, ((0, 3), (10, 4)), 1, 1, "a test")
 COARSE = ["domain.cell_size=12 um", "particles.flight=eulerian"]
 
 
@@ -26,11 +28,11 @@ def test_parts_add_up_to_the_box():
     moment = list(moments(scene, make_batches(scene)))[20]
     nx = scene.domain.cells[0]
     box = Box(scene.domain.cells, 1e-6)
-    whole = part_cells(moment.blocks, nx, ownership_ranges(box, (1, 1, 1)), 0)
-    parts = part_cells(moment.blocks, nx, ownership_ranges(box, (3, 2, 2)), 0)
+    whole = part_cells(moment.blocks, nx, ownership_ranges(box, (1, 1, 1)), (0, 0, 0))
+    parts = part_cells(moment.blocks, nx, ownership_ranges(box, (3, 2, 2)), (0, 0, 0))
     assert parts.shape == (2, 2, 3)
     assert parts.sum() == whole[0, 0, 0] > 0
-    wide = part_cells(moment.blocks, nx, ownership_ranges(box, (3, 2, 2)), GHOST)
+    wide = part_cells(moment.blocks, nx, ownership_ranges(box, (3, 2, 2)), (GHOST, GHOST, GHOST))
     assert (wide > parts).all()
 
 
@@ -105,7 +107,7 @@ def test_steps_and_active_cells_of_a_whole_run_are_foretold(run_f2s, tmp_path):
     whole = ownership_ranges(Box(scene.domain.cells, 1e-6), (1, 1, 1))
     history = list(moments(scene, plan))
     steps = np.array([m.weight * m.pace for m in history])
-    active = np.array([part_cells(m.blocks, nx, whole, 0)[0, 0, 0] for m in history])
+    active = np.array([part_cells(m.blocks, nx, whole, (0, 0, 0))[0, 0, 0] for m in history])
     found = summary["active_cell_steps"] / summary["steps"]
     assert (steps * active).sum() / steps.sum() == pytest.approx(found, rel=0.15)
 
@@ -139,6 +141,19 @@ def test_predictions_of_the_scenes(name):
     assert len(table(found).splitlines()) == len(ranks) + 1
 
 
+def test_ranks_of_one_machine_slow_each_other():
+    """Fails when ``predict`` leaves out ``Rates.crowd``, or when it goes on growing beyond the cores of a machine."""
+    scene = load_scene("quickstart")
+    crowded = replace(RATES, crowding=1.5, cores=4)
+    assert [crowded.crowd(ranks) for ranks in (1, 4, 64)] == [1.0, 1.5, 1.5]
+    assert 1.0 < crowded.crowd(2) < crowded.crowd(3) < 1.5
+    plan = make_batches(scene)
+    alone, together = (predict(scene, plan, [1, 4], rates, Network()) for rates in (RATES, crowded))
+    assert together[0] == alone[0]
+    busy = [found[1].step_s - found[1].messages_s for found in (alone, together)]
+    assert busy[1] == pytest.approx(1.5 * busy[0])
+
+
 def test_too_many_ranks_for_the_box_are_refused():
     scene = load_scene("splat")
     with pytest.raises(InputError, match="can not be cut into 4096 blocks"):
@@ -148,13 +163,15 @@ def test_too_many_ranks_for_the_box_are_refused():
 def test_fit_finds_the_rates_it_was_made_from():
     rows, times = [], []
     for kind in (0, 1):
-        for owned, ghosts in ((6000, 9000), (25_000, 18_000), (100_000, 40_000)):
-            rows.append((kind, owned, ghosts))
-            times.append(2e-3 + (7e-7, 5e-7)[kind] * (owned + 0.4 * ghosts))
+        for owned, ends, ghosts in ((6000, 4000, 5000), (25_000, 7000, 11_000), (100_000, 15_000, 30_000),
+                                    (100_000, 60_000, 20_000)):
+            rows.append((kind, owned, ends, ghosts))
+            times.append(2e-3 + (7e-7, 5e-7)[kind] * (owned + 0.9 * ends + 0.4 * ghosts))
     found = measured._fitted(rows, times, [SOLID, FLYING], (((0, 3),), 1), 1e9)
     assert found.per_step == pytest.approx(2e-3, rel=1e-6)
     assert found.per_cell == pytest.approx({SOLID: 7e-7, FLYING: 5e-7}, rel=1e-6, abs=0.0)
     assert found.ghost_share == pytest.approx(0.4)
+    assert found.end_share == pytest.approx(0.9)
 
 
 def test_rates_are_kept_and_wrong_files_refused(tmp_path):
@@ -166,12 +183,23 @@ def test_rates_are_kept_and_wrong_files_refused(tmp_path):
             measured.read_rates(tmp_path / "bad.json")
 
 
+def test_rates_that_another_version_kept_are_measured_anew(tmp_path, monkeypatch):
+    scene = load_scene("quickstart")
+    monkeypatch.setattr(measured, "cache_file", lambda scene: tmp_path / "kept.json")
+    monkeypatch.setattr(measured, "calibrate", lambda *arguments: RATES)
+    (tmp_path / "kept.json").write_text('{"per_step": 1.0}')
+    assert measured.rates_for(scene, make_batches(scene), None) == RATES
+    assert measured.read_rates(tmp_path / "kept.json") == RATES
+
+
 def test_plan_command(run_f2s, tmp_path):
     """Prediction and check of a small scene; on a machine that others use the ratio says only that both are alike."""
     done = run_f2s(["plan", "quickstart", "--ranks", "1,2,4", "--rates", "rates.json", "--check", "--json", "p.json"])
     assert done.returncode == 0, done.stderr
     assert "measuring the rates" in done.stdout
-    record = json.loads((tmp_path / "p.json").read_text())
+    record, rates = (json.loads((tmp_path / name).read_text()) for name in ("p.json", "rates.json"))
+    assert rates["cores"] == crowd.cores()
+    assert rates["crowding"] >= 1.0
     assert [p["ranks"] for p in record["predictions"]] == [1, 2, 4]
     for row in record["check"]:
         assert row["predicted_active"] == pytest.approx(row["active_cells"], rel=0.05)

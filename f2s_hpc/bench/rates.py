@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import itertools
 import json
 import os
 import pathlib
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from f2s_hpc._jit import cache_directory
-from f2s_hpc.bench import states
+from f2s_hpc.bench import crowd, states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
 from f2s_hpc.bench.trial import typical
 from f2s_hpc.build import build_model
@@ -23,23 +25,22 @@ from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import BatchPlan
-from f2s_hpc.solver.model import Model
-from f2s_hpc.verify.box import Setup
+from f2s_hpc.verify.box import Setup, make_setup
 from f2s_hpc.workload.predict import FLYING, SOLID, Rates
 
 TILES = ((1, 1), (2, 2), (4, 4), (8, 8))
-"""Sizes measured, from in cache to far out of it: their ghosts are 140 to 20 % of the cells, so that the costs of both
-can be told apart."""
+"""Sizes measured, from in cache to far out of it."""
+
+NARROW = ((1, 16), (16, 1))
+"""Boxes as large as one of those and as narrow as the smallest, along x and along y: by them the costs of cells and of
+ghosts beyond the sides can be told apart."""
+
+END_SHARES, GHOST_SHARES = np.linspace(0.1, 2.0, 39), np.linspace(0.1, 0.8, 15)
+"""What a ghost may cost of an owned cell, at the ends of rows and elsewhere. Noise must not carry it out: kernels visit
+one to three of the four ghost layers; at the ends, rows that are short for vectors come on top."""
 
 KINDS = {SOLID: "deposit", FLYING: "flying"}
 STRETCHES = 10
-
-
-def model_for(scene: Scene) -> Model:
-    """Return the material and settings of ``scene`` at the cell size and speed of the benchmark's patch."""
-    model, own = build_model(scene), states.model_of()
-    settings = model.settings._replace(speed_cap=own.settings.speed_cap, speed_limit=own.settings.speed_limit)
-    return model._replace(dx=states.CELL_SIZE, settings=settings, energy_quantum=own.energy_quantum)
 
 
 def _step_seconds(setup: Setup) -> float:
@@ -52,12 +53,14 @@ def _step_seconds(setup: Setup) -> float:
     return typical(seconds[2:])
 
 
-def _active(setup: Setup) -> tuple[int, int]:
-    """Return the active cells of the rank: owned, and ghosts."""
+def _active(setup: Setup) -> tuple[int, int, int]:
+    """Return the active cells of the rank: owned, ghosts at the ends of its own rows, other ghosts."""
     runs, count = setup.state.runs
-    local = int((runs[:count, 3].astype(np.int64) - runs[:count, 2]).sum())
-    owned = setup.state.active_cells()
-    return owned, local - owned
+    k, j, first, end = runs[:count].astype(np.int64).T
+    _, ny, nz = setup.state.part.count
+    own = (k >= GHOST) & (k < GHOST + nz) & (j >= GHOST) & (j < GHOST + ny)
+    owned, rows = setup.state.active_cells(), int((end - first)[own].sum())
+    return owned, rows - owned, int((end - first).sum()) - rows
 
 
 def _exchanges(setup: Setup) -> tuple[tuple[tuple[float, float], ...], int]:
@@ -107,10 +110,20 @@ def particles_in_patch(scene: Scene, plan: BatchPlan) -> list[tuple[float, float
     return list(zip(*(a[inside] for a in (x, y, z, r)))) or None
 
 
+def _crowding(saved: dict[str, np.ndarray], scene: Scene) -> float:
+    """Return by which factor a step is slower while all other cores step as well; 1 where there is no other."""
+    setup = states.tiled(saved, crowd.model_of(scene), crowd.TILES)
+    alone = _step_seconds(setup)
+    with crowd.crowd(saved, scene):
+        together = _step_seconds(setup)
+    # (the machine's other users: before and after)
+    return max(2.0 * together / (alone + _step_seconds(setup)), 1.0)
+
+
 def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda text: None) -> Rates:
     """Measure the rates of the step with material, settings and particles of ``scene``; one rank."""
     say("measuring the rates of the step on this machine, some half a minute")
-    model = model_for(scene)
+    model = crowd.model_of(scene)
     rows, times, kinds = [], [], list(KINDS)
     exchanges, packing = ((), 1), 0.0
     for kind, state in KINDS.items():
@@ -120,38 +133,48 @@ def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda
             saved = states.save(states.flying(model, particles_in_patch(scene, plan), scene.particles.speed))
         else:
             saved = states.save(states.STATES[state](model))
-        for tiles in TILES:
+            slower = _crowding(saved, scene)
+        for tiles in (*TILES, *NARROW):
             setup = states.tiled(saved, model, tiles)
             seconds = _step_seconds(setup)
             rows.append((kinds.index(kind), *_active(setup)))
             times.append(seconds)
             exchanges, packing = _exchanges(setup), _packing_rate(setup.state.pool.memory)
-    return _fitted(rows, times, kinds, exchanges, packing)
+    # hardly any cells: what a step costs however few there are
+    setup = make_setup((8, 8, 8), crowd.model_of(scene), [(4.0, 4.0, 4.0, 1.5)], (0.0, 0.0, -1.0))
+    rows.append((0, *_active(setup)))
+    times.append(_step_seconds(setup))
+    return replace(_fitted(rows, times, kinds, exchanges, packing), crowding=slower, cores=crowd.cores())
 
 
-def _fitted(rows: list[tuple[int, int, int]], times: list[float], kinds: list[str],
+def _fitted(rows: list[tuple[int, int, int, int]], times: list[float], kinds: list[str],
             exchanges: tuple[tuple[tuple[float, float], ...], int], packing: float) -> Rates:
-    """Fit the cost per step, per cell of each kind and of a ghost to measured steps, all relative errors alike."""
-    kind, owned, ghosts = (np.array(column) for column in zip(*rows))
+    """Fit the cost per step, per cell of each kind and of ghosts to measured steps, all relative errors alike.
+
+    ``rows``: kind, and cells as :func:`_active` counts them; of each kind, one after the other, as many, first those of
+    the sizes in ``TILES``; more may follow.
+    """
+    kind, owned, ends, ghosts = (np.array(column) for column in zip(*rows))
     seconds = np.array(times)
     best = None
-    # linear for a given share of the ghosts; the share is found by trying. Kernels visit one to three of the four ghost
-    # layers, so it lies well inside these bounds, and noise must not carry it out
-    for share in np.linspace(0.1, 0.8, 71):
-        columns = [np.ones(seconds.size), *((kind == n) * (owned + share * ghosts) for n in range(len(kinds)))]
+    # linear for given shares of the ghosts; these are found by trying
+    for end_share, share in itertools.product(END_SHARES, GHOST_SHARES):
+        cells = owned + end_share * ends + share * ghosts
+        columns = [np.ones(seconds.size), *((kind == n) * cells for n in range(len(kinds)))]
         matrix = np.stack(columns, axis=1) / seconds[:, None]
         found = np.linalg.lstsq(matrix, np.ones(seconds.size), rcond=None)[0]
         if found[0] < 0.0:
             found = np.concatenate([[0.0], np.linalg.lstsq(matrix[:, 1:], np.ones(seconds.size), rcond=None)[0]])
         error = float(((matrix @ found - 1.0) ** 2).sum())
         if best is None or error < best[0]:
-            best = (error, float(share), found)
-    _, share, found = best
+            best = (error, float(share), float(end_share), found)
+    _, share, end_share, found = best
     # what the fit leaves is the caches: small boxes run in them, large ones do not
-    fitted = found[0] + found[1:][kind] * (owned + share * ghosts)
-    sizes = [(int((owned + ghosts)[n::len(TILES)].mean()), float((seconds / fitted)[n::len(TILES)].mean()))
-             for n in range(min(len(TILES), seconds.size // len(kinds)))]
-    return Rates(float(found[0]), {name: float(c) for name, c in zip(kinds, found[1:])}, share, packing,
+    fitted = found[0] + found[1:][kind] * (owned + end_share * ends + share * ghosts)
+    every = seconds.size // len(kinds)
+    sizes = [(int((owned + ends + ghosts)[n:every * len(kinds):every].mean()),
+              float((seconds / fitted)[n:every * len(kinds):every].mean())) for n in range(min(len(TILES), every))]
+    return Rates(float(found[0]), {name: float(c) for name, c in zip(kinds, found[1:])}, share, end_share, packing,
                  exchanges[0], 1, exchanges[1], f"{platform.node()}, {platform.machine()}", tuple(sizes))
 
 
@@ -183,7 +206,8 @@ def read_rates(path: str | os.PathLike) -> Rates:
         record["exchanges"] = tuple((float(c), float(n)) for c, n in record["exchanges"])
         record["sizes"] = tuple((int(n), float(factor)) for n, factor in record["sizes"])
         rates = Rates(**record)
-        numbers = [rates.per_step, rates.ghost_share, rates.packing, *(rates.per_cell[kind] for kind in KINDS)]
+        numbers = [rates.per_step, rates.ghost_share, rates.end_share, rates.packing, rates.crowding,
+                   *(rates.per_cell[kind] for kind in KINDS)]
         if not all(np.isfinite(float(n)) and n >= 0.0 for n in numbers) or rates.packing == 0.0:
             raise ValueError("a rate is not a positive number")
     except OSError as error:
@@ -194,10 +218,16 @@ def read_rates(path: str | os.PathLike) -> Rates:
 
 
 def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[str], None] = lambda text: None) -> Rates:
-    """Return the rates of the file ``path`` if it is there, else of the cache, else measured now and kept."""
+    """Return the rates of the file ``path`` if it is there, else of the cache, else measured now and kept.
+
+    What another version of the code kept is measured anew. Raises ``InputError`` if ``path`` is no file of rates.
+    """
     place = pathlib.Path(path) if path else cache_file(scene)
-    if place.exists():
-        return read_rates(place)
+    with contextlib.ExitStack() as stack:
+        if not path:
+            stack.enter_context(contextlib.suppress(InputError))
+        if place.exists():
+            return read_rates(place)
     rates = calibrate(scene, plan, say)
     write_rates(place, rates)
     return rates

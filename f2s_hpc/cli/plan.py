@@ -50,7 +50,8 @@ def run(parsed: argparse.Namespace) -> int:
     rates = measured.rates_for(scene, plan, parsed.rates, print)
     print(f"rates of {rates.where}: {1e3 * rates.per_step:.2f} ms per step, "
           + ", ".join(f"{1e9 * cost:.0f} ns per {kind} cell" for kind, cost in rates.per_cell.items())
-          + f", a ghost {rates.ghost_share:.0%} of that, packing {1e-9 * rates.packing:.1f} GB/s")
+          + f", a ghost {rates.ghost_share:.0%} of that, {rates.end_share:.0%} at the ends of rows, packing "
+          f"{1e-9 * rates.packing:.1f} GB/s")
     print(f"network: latency {1e6 * latency:g} us, {parsed.bandwidth:g} GB/s per rank "
           f"(stated, not measured), {len(rates.exchanges) / rates.steps:.1f} exchanges and {rates.reductions} "
           "reduction per step")

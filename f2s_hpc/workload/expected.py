@@ -162,19 +162,20 @@ def block_shares(cells: int, starts: Sequence[int], ends: Sequence[int]) -> np.n
     return shares
 
 
-def part_cells(blocks: np.ndarray, cells: int, ranges: Ranges, width: int) -> np.ndarray:
+def part_cells(blocks: np.ndarray, cells: int, ranges: Ranges, widths: tuple[int, int, int]) -> np.ndarray:
     """Return how many active cells each rank holds, int64 [z, y, x] of the process grid.
 
-    ``cells``: cells of a row; ``width``: ghost layers counted in (0: owned cells only), mirrored beyond the box.
+    ``cells``: cells of a row; ``widths``: ghost layers counted in along x, y and z, mirrored beyond the box.
     """
     bounds = [np.concatenate([[0], np.cumsum(counts)]) for counts in ranges]
-    x, y, z = ((b[:-1] - width, b[1:] + width) for b in bounds)
-    padded = np.pad(blocks, ((width, width), (width, width), (0, 0)), mode="symmetric") if width else blocks
+    x, y, z = ((b[:-1] - width, b[1:] + width) for b, width in zip(bounds, widths))
+    _, wy, wz = widths
+    padded = np.pad(blocks, ((wz, wz), (wy, wy), (0, 0)), mode="symmetric") if wy or wz else blocks
     shares = block_shares(cells, *x)
     found = np.zeros(tuple(len(b) - 1 for b in bounds[::-1]), dtype=np.int64)
     for c, (k0, k1) in enumerate(zip(*z)):
-        plane = padded[k0 + width:k1 + width].sum(axis=0, dtype=np.int64)
-        rows = np.array([plane[j0 + width:j1 + width].sum(axis=0) for j0, j1 in zip(*y)])
+        plane = padded[k0 + wz:k1 + wz].sum(axis=0, dtype=np.int64)
+        rows = np.array([plane[j0 + wy:j1 + wy].sum(axis=0) for j0, j1 in zip(*y)])
         found[c] = rows @ shares
     return found
 

@@ -1,14 +1,16 @@
 """What a run will take on any number of ranks: a model of the step fed with measured rates and the expected load.
 
-Time of a step on a rank (s), with N active cells owned and G active ghost cells, of which some hold flying particles:
+Time of a step on a rank (s), with N active cells owned, X active ghost cells at the ends of its rows and G others, of
+which some hold flying particles:
 
-    per_step + sum over kinds of per_cell[kind] (N[kind] + ghost_share G[kind]) + messages
+    per_step + sum over kinds of per_cell[kind] (N[kind] + end_share X[kind] + ghost_share G[kind]) + messages
 
     messages = exchanges x neighbours x latency + bytes (1 / bandwidth + 1 / packing)
                + 2 log2(ranks) latency per reduction (Hockney's model; Thakur et al. 2005 for the reduction)
 
-The step ends when the slowest rank ends. Rates are measured on this machine (:mod:`f2s_hpc.bench.rates`), latency and
-bandwidth are given; ranks that share a memory bus or a network link are not modelled.
+The step ends when the slowest rank ends. Rates are measured on this machine (:mod:`f2s_hpc.bench.rates`), also how much
+cores that share caches and a memory bus slow each other; latency and bandwidth are given, and shared network links are
+not modelled.
 """
 
 from __future__ import annotations
@@ -39,20 +41,30 @@ network takes 1 to 2 us, and a link of 25 GB/s is shared by the ranks of a node 
 class Rates:
     """Measured costs of the step on one core (seconds, bytes/s).
 
+    ``end_share``, ``ghost_share``: of a ghost cell beyond an x side, at which every row begins or ends anew, and of any
+    other, in the cost of an owned one;
     ``exchanges``: how many cell and node fields each ghost exchange carries in ``steps`` steps, from remap to remap;
     ``reductions``: of a step;
+    ``crowding``: by which factor a step is slower while all ``cores`` of the machine step;
     ``sizes``: by which factor a step on so many active cells, ghosts included, is slower than the model says (caches).
     """
 
     per_step: float
     per_cell: dict[str, float]
     ghost_share: float
+    end_share: float
     packing: float
     exchanges: tuple[tuple[float, float], ...]
     reductions: int = 1
     steps: int = 1
     where: str = ""
     sizes: tuple[tuple[int, float], ...] = ()
+    crowding: float = 1.0
+    cores: int = 1
+
+    def crowd(self, ranks: int) -> float:
+        """Return by which factor so many ranks slow each other, that fill one machine before the next."""
+        return 1.0 + (self.crowding - 1.0) * min((ranks - 1) / max(self.cores - 1, 1), 1.0)
 
 
 @dataclass(frozen=True)
@@ -115,9 +127,10 @@ def busy_seconds(moment: Moment, cells: int, ranges: Ranges, rates: Rates) -> np
     busy = np.full(tuple(len(r) for r in ranges[::-1]), rates.per_step)
     visited = 0
     for kind, blocks in ((SOLID, moment.solid), (FLYING, moment.blocks & ~moment.solid & 1)):
-        owned = part_cells(blocks, cells, ranges, 0)
-        local = part_cells(blocks, cells, ranges, GHOST)
-        busy = busy + rates.per_cell[kind] * (owned + rates.ghost_share * (local - owned))
+        owned, rows, local = (part_cells(blocks, cells, ranges, widths)
+                              for widths in ((0, 0, 0), (GHOST, 0, 0), (GHOST, GHOST, GHOST)))
+        busy = busy + rates.per_cell[kind] * (owned + rates.end_share * (rows - owned)
+                                              + rates.ghost_share * (local - rows))
         visited = visited + local
     if rates.sizes:
         cells_there, factors = zip(*rates.sizes)
@@ -137,7 +150,8 @@ def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, n
     found: dict[int, Prediction] = {}
     for count, balance in balances.items():
         seconds, sent = message_seconds(scene, balance.ranges, rates, network)
-        busy = [busy_seconds(moment, scene.domain.cells[0], balance.ranges, rates) for moment in history]
+        crowd = rates.crowd(count)
+        busy = [crowd * busy_seconds(moment, scene.domain.cells[0], balance.ranges, rates) for moment in history]
         weights = paces / paces.sum()
         step = float(sum(w * (b + seconds).max() for w, b in zip(weights, busy)))
         mean = sum(w * b for w, b in zip(weights, busy))
