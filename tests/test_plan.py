@@ -161,17 +161,18 @@ def test_too_many_ranks_for_the_box_are_refused():
 
 
 def test_fit_finds_the_rates_it_was_made_from():
-    rows, times = [], []
-    for kind in (0, 1):
-        for owned, ends, ghosts in ((6000, 4000, 5000), (25_000, 7000, 11_000), (100_000, 15_000, 30_000),
-                                    (100_000, 60_000, 20_000)):
-            rows.append((kind, owned, ends, ghosts))
-            times.append(2e-3 + (7e-7, 5e-7)[kind] * (owned + 0.9 * ends + 0.4 * ghosts))
-    found = measured._fitted(rows, times, [SOLID, FLYING], (((0, 3),), 1), 1e9)
+    rows = [(6000, 4000, 5000), (25_000, 7000, 11_000), (100_000, 15_000, 30_000), (400_000, 30_000, 60_000),
+            (100_000, 60_000, 20_000), (100_000, 5000, 90_000), (512, 500, 3000)]
+
+    def seconds(cost, row):
+        return 2e-3 + cost * (row[0] + 0.9 * row[1] + 0.4 * row[2])
+
+    found = measured._fitted(rows, [seconds(7e-7, row) for row in rows])
     assert found.per_step == pytest.approx(2e-3, rel=1e-6)
-    assert found.per_cell == pytest.approx({SOLID: 7e-7, FLYING: 5e-7}, rel=1e-6, abs=0.0)
-    assert found.ghost_share == pytest.approx(0.4)
-    assert found.end_share == pytest.approx(0.9)
+    assert found.per_cell == pytest.approx({SOLID: 7e-7}, rel=1e-6, abs=0.0)
+    assert (found.ghost_share, found.end_share) == pytest.approx((0.4, 0.9))
+    assert [factor for _, factor in found.sizes] == pytest.approx([1.0] * 4)
+    assert measured._cost(found, rows[1], seconds(5e-7, rows[1])) == pytest.approx(5e-7, rel=1e-6)
 
 
 def test_rates_are_kept_and_wrong_files_refused(tmp_path):

@@ -1,4 +1,4 @@
-"""Rates of the step on this machine, for :mod:`f2s_hpc.workload.predict`: measured in half a minute, kept on disk."""
+"""Rates of the step on this machine, for :mod:`f2s_hpc.workload.predict`: measured in under a minute, kept on disk."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import os
 import pathlib
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -39,8 +39,11 @@ END_SHARES, GHOST_SHARES = np.linspace(0.1, 2.0, 39), np.linspace(0.1, 0.8, 15)
 """What a ghost may cost of an owned cell, at the ends of rows and elsewhere. Noise must not carry it out: kernels visit
 one to three of the four ghost layers; at the ends, rows that are short for vectors come on top."""
 
-KINDS = {SOLID: "deposit", FLYING: "flying"}
+AIR, LEAST_AIR = (80, 80, 72), (16, 16, 32)
+"""Cells (x, y, z) of the box that flying particles are measured in: its largest and its smallest size."""
+
 STRETCHES = 10
+PAIRS = 3
 
 
 def _step_seconds(setup: Setup) -> float:
@@ -99,83 +102,95 @@ def _packing_rate(memory: np.ndarray) -> float:
     return 8.0 * place.size / best
 
 
-def particles_in_patch(scene: Scene, plan: BatchPlan) -> list[tuple[float, float, float, float]] | None:
-    """Return the spheres (cells) of the scene's first batch in the middle of its layer that fit the patch, if any."""
+def air_of(scene: Scene, plan: BatchPlan) -> tuple[tuple[int, ...], list[tuple[float, ...]] | None]:
+    """Return the cells (x, y, z) of a box in the middle of the particle layer, and the spheres that fit it.
+
+    At most as large as ``AIR``; spheres (x, y, z, r in cells) of the scene's first batch, None if none fits.
+    """
     batch, dx = plan.batches[plan.order[0]], scene.domain.cell_size
-    width, depth, height = states.PATCH
-    low = [max(0.0, 0.5 * (extent / dx - size)) for extent, size in zip(
-        (*scene.domain.extents[:2], scene.domain.particle_layer_height), states.PATCH)]
+    extents = (*scene.domain.extents[:2], scene.domain.particle_layer_height)
+    size = tuple(min(max(round(extent / dx), least), most) for extent, least, most in zip(extents, LEAST_AIR, AIR))
+    low = [max(0.0, 0.5 * (extent / dx - cells)) for extent, cells in zip(extents, size)]
     x, y, z, r = batch.x / dx - low[0], batch.y / dx - low[1], batch.z / dx - low[2], batch.r / dx
-    inside = (x > 0.0) & (x < width) & (y > 0.0) & (y < depth) & (z - r > 1.0) & (z + r < height - 1.0)
-    return list(zip(*(a[inside] for a in (x, y, z, r)))) or None
+    inside = (x > 0.0) & (x < size[0]) & (y > 0.0) & (y < size[1]) & (z - r > 1.0) & (z + r < size[2] - 1.0)
+    return size, list(zip(*(a[inside] for a in (x, y, z, r)))) or None
 
 
 def _crowding(saved: dict[str, np.ndarray], scene: Scene) -> float:
     """Return by which factor a step is slower while all other cores step as well; 1 where there is no other."""
-    setup = states.tiled(saved, crowd.model_of(scene), crowd.TILES)
-    alone = _step_seconds(setup)
-    with crowd.crowd(saved, scene):
-        together = _step_seconds(setup)
-    # (the machine's other users: before and after)
-    return max(2.0 * together / (alone + _step_seconds(setup)), 1.0)
+    def step() -> float:
+        # from the same state each time: it comes to rest
+        return _step_seconds(states.tiled(saved, crowd.model_of(scene), crowd.TILES))
+
+    step()
+    before, slower = step(), []
+    # in turn: the machine's other users come and go
+    for _ in range(PAIRS):
+        with crowd.crowd(saved, scene):
+            together = step()
+        after = step()
+        slower.append(2.0 * together / (before + after))
+        before = after
+    return max(float(np.median(slower)), 1.0)
 
 
 def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda text: None) -> Rates:
     """Measure the rates of the step with material, settings and particles of ``scene``; one rank."""
-    say("measuring the rates of the step on this machine, some half a minute")
+    say("measuring the rates of the step on this machine, under a minute")
     model = crowd.model_of(scene)
-    rows, times, kinds = [], [], list(KINDS)
-    exchanges, packing = ((), 1), 0.0
-    for kind, state in KINDS.items():
-        if kind == FLYING:
-            # how many cells of a particle its surface cuts decides what it costs: the scene's own particles and cells
-            model = model._replace(dx=scene.domain.cell_size)
-            saved = states.save(states.flying(model, particles_in_patch(scene, plan), scene.particles.speed))
-        else:
-            saved = states.save(states.STATES[state](model))
-            slower = _crowding(saved, scene)
-        for tiles in (*TILES, *NARROW):
-            setup = states.tiled(saved, model, tiles)
-            seconds = _step_seconds(setup)
-            rows.append((kinds.index(kind), *_active(setup)))
-            times.append(seconds)
-            exchanges, packing = _exchanges(setup), _packing_rate(setup.state.pool.memory)
+    rows, times = [], []
+
+    def measure(setup: Setup) -> None:
+        times.append(_step_seconds(setup))
+        rows.append(_active(setup))
+
+    saved = states.save(states.deposit(model))
+    slower = _crowding(saved, scene)
+    for tiles in (*TILES, *NARROW):
+        measure(states.tiled(saved, model, tiles))
     # hardly any cells: what a step costs however few there are
-    setup = make_setup((8, 8, 8), crowd.model_of(scene), [(4.0, 4.0, 4.0, 1.5)], (0.0, 0.0, -1.0))
-    rows.append((0, *_active(setup)))
-    times.append(_step_seconds(setup))
-    return replace(_fitted(rows, times, kinds, exchanges, packing), crowding=slower, cores=crowd.cores())
+    measure(make_setup((8, 8, 8), model, [(4.0, 4.0, 4.0, 1.5)], (0.0, 0.0, -1.0)))
+    solid = _fitted(rows, times)
+    # how many cells of a particle its surface cuts, and how they lie in memory, decides what it costs: the scene's own
+    # particles and cells, as wide as they are
+    size, spheres = air_of(scene, plan)
+    setup = states.flying(model._replace(dx=scene.domain.cell_size), spheres, scene.particles.speed, size)
+    measure(setup)
+    exchanges, steps = _exchanges(setup)
+    return replace(solid, per_cell=solid.per_cell | {FLYING: _cost(solid, rows[-1], times[-1])}, exchanges=exchanges,
+                   steps=steps, packing=_packing_rate(setup.state.pool.memory), crowding=slower, cores=crowd.cores())
 
 
-def _fitted(rows: list[tuple[int, int, int, int]], times: list[float], kinds: list[str],
-            exchanges: tuple[tuple[tuple[float, float], ...], int], packing: float) -> Rates:
-    """Fit the cost per step, per cell of each kind and of ghosts to measured steps, all relative errors alike.
+def _cost(rates: Rates, row: tuple[int, int, int], seconds: float) -> float:
+    """Return the cost of an owned cell (s) by which the model with ``rates`` meets a measured step."""
+    owned, ends, ghosts = row
+    alone = seconds / rates.slower(sum(row)) - rates.per_step
+    return max(alone, 0.0) / (owned + rates.end_share * ends + rates.ghost_share * ghosts)
 
-    ``rows``: kind, and cells as :func:`_active` counts them; of each kind, one after the other, as many, first those of
-    the sizes in ``TILES``; more may follow.
+
+def _fitted(rows: Sequence[tuple[int, int, int]], times: Sequence[float]) -> Rates:
+    """Fit the costs per step, per cell and per ghost to measured steps, all relative errors alike.
+
+    ``rows``: cells as :func:`_active` counts them, first those of the sizes in ``TILES``.
     """
-    kind, owned, ends, ghosts = (np.array(column) for column in zip(*rows))
+    owned, ends, ghosts = (np.array(column) for column in zip(*rows))
     seconds = np.array(times)
     best = None
     # linear for given shares of the ghosts; these are found by trying
     for end_share, share in itertools.product(END_SHARES, GHOST_SHARES):
-        cells = owned + end_share * ends + share * ghosts
-        columns = [np.ones(seconds.size), *((kind == n) * cells for n in range(len(kinds)))]
-        matrix = np.stack(columns, axis=1) / seconds[:, None]
+        matrix = np.stack([np.ones(seconds.size), owned + end_share * ends + share * ghosts], axis=1) / seconds[:, None]
         found = np.linalg.lstsq(matrix, np.ones(seconds.size), rcond=None)[0]
         if found[0] < 0.0:
-            found = np.concatenate([[0.0], np.linalg.lstsq(matrix[:, 1:], np.ones(seconds.size), rcond=None)[0]])
-        error = float(((matrix @ found - 1.0) ** 2).sum())
+            found = np.array([0.0, np.linalg.lstsq(matrix[:, 1:], np.ones(seconds.size), rcond=None)[0][0]])
+        fitted = matrix @ found
+        error = float(((fitted - 1.0) ** 2).sum())
         if best is None or error < best[0]:
-            best = (error, float(share), float(end_share), found)
-    _, share, end_share, found = best
+            best = (error, float(share), float(end_share), found, fitted)
+    _, share, end_share, found, fitted = best
     # what the fit leaves is the caches: small boxes run in them, large ones do not
-    fitted = found[0] + found[1:][kind] * (owned + end_share * ends + share * ghosts)
-    every = seconds.size // len(kinds)
-    sizes = [(int((owned + ends + ghosts)[n:every * len(kinds):every].mean()),
-              float((seconds / fitted)[n:every * len(kinds):every].mean())) for n in range(min(len(TILES), every))]
-    return Rates(float(found[0]), {name: float(c) for name, c in zip(kinds, found[1:])}, share, end_share, packing,
-                 exchanges[0], 1, exchanges[1], f"{platform.node()}, {platform.machine()}", tuple(sizes))
+    sizes = tuple((int(sum(row)), float(1.0 / whole)) for row, whole in list(zip(rows, fitted))[:len(TILES)])
+    return Rates(float(found[0]), {SOLID: float(found[1])}, share, end_share, 0.0, (),
+                 where=f"{platform.node()}, {platform.machine()}", sizes=sizes)
 
 
 def cache_file(scene: Scene) -> pathlib.Path:
@@ -184,7 +199,7 @@ def cache_file(scene: Scene) -> pathlib.Path:
     s = model.settings
     parts = (type(model.flow).__name__, type(model.eos).__name__, "conduction" if s.conduction else "adiabatic",
              "2nd" if s.second_order else "1st")
-    own = (scene.domain.cell_size, scene.domain.particle_layer_height, scene.batches, scene.particles)
+    own = (scene.domain, scene.batches, scene.particles, scene.numerics)
     parts = (*parts, hashlib.sha256(repr(own).encode()).hexdigest()[:8])
     return pathlib.Path(cache_directory()) / f"rates-{'-'.join(parts)}.json"
 
@@ -207,7 +222,7 @@ def read_rates(path: str | os.PathLike) -> Rates:
         record["sizes"] = tuple((int(n), float(factor)) for n, factor in record["sizes"])
         rates = Rates(**record)
         numbers = [rates.per_step, rates.ghost_share, rates.end_share, rates.packing, rates.crowding,
-                   *(rates.per_cell[kind] for kind in KINDS)]
+                   *(rates.per_cell[kind] for kind in (SOLID, FLYING))]
         if not all(np.isfinite(float(n)) and n >= 0.0 for n in numbers) or rates.packing == 0.0:
             raise ValueError("a rate is not a positive number")
     except OSError as error:

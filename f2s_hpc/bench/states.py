@@ -92,10 +92,11 @@ def deposit(model: Model) -> Setup:
 
 
 def flying(model: Model, spheres: Sequence[tuple[float, float, float, float]] | None = None,
-           speed: float = SPEED) -> Setup:
-    """Return the patch with ``spheres`` (x, y, z, r in cells; the first batch if None) in free flight, nothing else."""
+           speed: float = SPEED, cells: tuple[int, int, int] = PATCH) -> Setup:
+    """Return the patch, or a box of ``cells``, with ``spheres`` (x, y, z, r in cells; those of the patch if None) in
+    free flight, nothing else."""
     spheres = _spheres(_batches()[0], SUBSTRATE) if spheres is None else spheres
-    setup = make_setup(PATCH, model, spheres, (0.0, 0.0, -speed), 723.15)
+    setup = make_setup(cells, model, spheres, (0.0, 0.0, -speed), 723.15)
     setup.advance(20)
     return setup
 

@@ -62,6 +62,13 @@ class Rates:
     crowding: float = 1.0
     cores: int = 1
 
+    def slower(self, cells):
+        """Return by which factor a step on so many active cells (a number or an array) is slower than the model."""
+        if not self.sizes:
+            return 1.0
+        known, factors = zip(*self.sizes)
+        return np.interp(np.log(np.maximum(cells, 1)), np.log(known), factors)
+
     def crowd(self, ranks: int) -> float:
         """Return by which factor so many ranks slow each other, that fill one machine before the next."""
         return 1.0 + (self.crowding - 1.0) * min((ranks - 1) / max(self.cores - 1, 1), 1.0)
@@ -132,10 +139,7 @@ def busy_seconds(moment: Moment, cells: int, ranges: Ranges, rates: Rates) -> np
         busy = busy + rates.per_cell[kind] * (owned + rates.end_share * (rows - owned)
                                               + rates.ghost_share * (local - rows))
         visited = visited + local
-    if rates.sizes:
-        cells_there, factors = zip(*rates.sizes)
-        busy = busy * np.interp(np.log(np.maximum(visited, 1)), np.log(cells_there), factors)
-    return busy
+    return busy * rates.slower(visited)
 
 
 def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, network: Network,
