@@ -29,8 +29,7 @@ from f2s_hpc.errors import F2SError
 from f2s_hpc.solver.model import Model
 
 TILES = (8, 8)
-"""Size of the patch (tiles along x and y) that each core steps: 160 MB, far out of caches, so that what they share is the
-memory bus."""
+"""Size of the patch (tiles along x and y) that each core steps: 160 MB, far out of caches, so they share the bus."""
 
 REMAPS = 10
 """After so many remaps a core begins again from the saved state."""

@@ -54,7 +54,14 @@ def mark_material(mass, shape, ghosts, active, holds):
 def grow_active(holds, active):
     """Set ``active`` to the blocks that material or its nodes can reach, from the marks of ``holds``."""
     nz, ny, blocks = holds.shape
+    filled = np.zeros(nz, dtype=np.bool_)
     for k in range(nz):
+        filled[k] = holds[k].any()
+    for k in range(nz):
+        if not filled[max(k - 2, 0):min(k + 2, nz)].any():
+            # the empty height of a box costs nothing
+            active[k] = 0
+            continue
         for j in range(ny):
             for b in range(blocks):
                 flag = 0
