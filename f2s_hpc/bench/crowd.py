@@ -20,13 +20,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from f2s_hpc.bench import states
-from f2s_hpc.build import build_model
 from f2s_hpc.config.dump import dump_scene
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.doctor import launch_environment
 from f2s_hpc.errors import F2SError
-from f2s_hpc.solver.model import Model
 
 TILES = (8, 8)
 """Size of the patch (tiles along x and y) that each core steps: 160 MB, far out of caches, so they share the bus."""
@@ -65,18 +63,11 @@ def crowd(saved: dict[str, np.ndarray], scene: Scene) -> Iterator[None]:
                 other.stdin.close()
 
 
-def model_of(scene: Scene) -> Model:
-    """Return the material and settings of ``scene`` at the cell size and speed of the benchmark's patch."""
-    model, own = build_model(scene), states.model_of()
-    settings = model.settings._replace(speed_cap=own.settings.speed_cap, speed_limit=own.settings.speed_limit)
-    return model._replace(dx=states.CELL_SIZE, settings=settings, energy_quantum=own.energy_quantum)
-
-
 def step_on(patch: str, scene: str) -> None:
     """Step the patch until standard input ends."""
     with np.load(patch) as file:
         saved = {name: file[name] for name in file.files}
-    model, setup = model_of(load_scene(scene, [])), None
+    model, setup = states.model_for(load_scene(scene, [])), None
     for remap in itertools.count():
         if remap % REMAPS == 0:
             # it comes to rest, and steps at rest take less

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import itertools
 import json
@@ -25,6 +24,7 @@ from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.solver.model import Model
 from f2s_hpc.verify.box import Setup, make_setup
 from f2s_hpc.workload.predict import FLYING, SOLID, Rates
 
@@ -116,11 +116,11 @@ def air_of(scene: Scene, plan: BatchPlan) -> tuple[tuple[int, ...], list[tuple[f
     return size, list(zip(*(a[inside] for a in (x, y, z, r)))) or None
 
 
-def _crowding(saved: dict[str, np.ndarray], scene: Scene) -> float:
+def _crowding(saved: dict[str, np.ndarray], model: Model, scene: Scene) -> float:
     """Return by which factor a step is slower while all other cores step as well; 1 where there is no other."""
     def step() -> float:
         # from the same state each time: it comes to rest
-        return _step_seconds(states.tiled(saved, crowd.model_of(scene), crowd.TILES))
+        return _step_seconds(states.tiled(saved, model, crowd.TILES))
 
     step()
     before, slower = step(), []
@@ -137,7 +137,7 @@ def _crowding(saved: dict[str, np.ndarray], scene: Scene) -> float:
 def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda text: None) -> Rates:
     """Measure the rates of the step with material, settings and particles of ``scene``; one rank."""
     say("measuring the rates of the step on this machine, under a minute")
-    model = crowd.model_of(scene)
+    model = states.model_for(scene)
     rows, times = [], []
 
     def measure(setup: Setup) -> None:
@@ -145,7 +145,7 @@ def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda
         rows.append(_active(setup))
 
     saved = states.save(states.deposit(model))
-    slower = _crowding(saved, scene)
+    slower = _crowding(saved, model, scene)
     for tiles in (*TILES, *NARROW):
         measure(states.tiled(saved, model, tiles))
     # hardly any cells: what a step costs however few there are
@@ -163,9 +163,8 @@ def calibrate(scene: Scene, plan: BatchPlan, say: Callable[[str], None] = lambda
 
 def _cost(rates: Rates, row: tuple[int, int, int], seconds: float) -> float:
     """Return the cost of an owned cell (s) by which the model with ``rates`` meets a measured step."""
-    owned, ends, ghosts = row
     alone = seconds / rates.slower(sum(row)) - rates.per_step
-    return max(alone, 0.0) / (owned + rates.end_share * ends + rates.ghost_share * ghosts)
+    return max(alone, 0.0) / rates.worth(*row)
 
 
 def _fitted(rows: Sequence[tuple[int, int, int]], times: Sequence[float]) -> Rates:
@@ -238,11 +237,12 @@ def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[st
     What another version of the code kept is measured anew. Raises ``InputError`` if ``path`` is no file of rates.
     """
     place = pathlib.Path(path) if path else cache_file(scene)
-    with contextlib.ExitStack() as stack:
-        if not path:
-            stack.enter_context(contextlib.suppress(InputError))
-        if place.exists():
+    if place.exists():
+        try:
             return read_rates(place)
+        except InputError:
+            if path:
+                raise
     rates = calibrate(scene, plan, say)
     write_rates(place, rates)
     return rates

@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.build import build_model
 from f2s_hpc.config.load import parse_scene
+from f2s_hpc.config.schema import Scene
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.particles.batch import Batch, make_batches
 from f2s_hpc.solver.model import Model
@@ -107,6 +109,13 @@ STATES: dict[str, Callable[[Model], Setup]] = {"filled": filled, "deposit": depo
 def model_of(material: str = "copper-ge") -> Model:
     """Return the material and the default settings at the patch's cell size."""
     return make_model(CELL_SIZE, material, SPEED)
+
+
+def model_for(scene: Scene) -> Model:
+    """Return the material and settings of ``scene`` at the patch's cell size and speed."""
+    model, own = build_model(scene), model_of()
+    settings = model.settings._replace(speed_cap=own.settings.speed_cap, speed_limit=own.settings.speed_limit)
+    return model._replace(dx=CELL_SIZE, settings=settings, energy_quantum=own.energy_quantum)
 
 
 def save(setup: Setup) -> dict[str, np.ndarray]:

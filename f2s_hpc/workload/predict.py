@@ -62,6 +62,10 @@ class Rates:
     crowding: float = 1.0
     cores: int = 1
 
+    def worth(self, owned, ends, ghosts):
+        """Return as how many owned cells these count (numbers or arrays): owned, ghosts at ends of rows, others."""
+        return owned + self.end_share * ends + self.ghost_share * ghosts
+
     def slower(self, cells):
         """Return by which factor a step on so many active cells (a number or an array) is slower than the model."""
         if not self.sizes:
@@ -136,8 +140,7 @@ def busy_seconds(moment: Moment, cells: int, ranges: Ranges, rates: Rates) -> np
     for kind, blocks in ((SOLID, moment.solid), (FLYING, moment.blocks & ~moment.solid & 1)):
         owned, rows, local = (part_cells(blocks, cells, ranges, widths)
                               for widths in ((0, 0, 0), (GHOST, 0, 0), (GHOST, GHOST, GHOST)))
-        busy = busy + rates.per_cell[kind] * (owned + rates.end_share * (rows - owned)
-                                              + rates.ghost_share * (local - rows))
+        busy = busy + rates.per_cell[kind] * rates.worth(owned, rows - owned, local - rows)
         visited = visited + local
     return busy * rates.slower(visited)
 
