@@ -17,7 +17,7 @@ from solver_setup import ALL_SYMMETRY, make_block, make_model, make_setup, node_
 from f2s_hpc import mpi
 from f2s_hpc.analysis.flattening import LEAST_POINTS, flattening_from_points
 from f2s_hpc.cli.main import main
-from f2s_hpc.config.schema import LEAST_TRACERS
+from f2s_hpc.config.sections import LEAST_TRACERS
 from f2s_hpc.cycles.tracers import PLACES, SORTED, TOGETHER, Tracers
 from f2s_hpc.errors import F2SError
 from f2s_hpc.io import layout, runs

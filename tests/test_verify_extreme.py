@@ -7,7 +7,7 @@ import pytest
 
 from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene, parse_scene
-from f2s_hpc.config.schema import Numerics
+from f2s_hpc.config.sections import Numerics
 from f2s_hpc.errors import InputError
 from f2s_hpc.verify import extreme, fuzz, levers, special, watch
 from f2s_hpc.verify.box import make_model, make_setup

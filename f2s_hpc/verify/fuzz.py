@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from f2s_hpc.config.schema import Numerics
+from f2s_hpc.config.sections import Numerics
 from f2s_hpc.grid.box import SIDES
 from f2s_hpc.materials import library
 from f2s_hpc.verify.watch import Outcome, run_scene
