@@ -26,6 +26,7 @@ from f2s_hpc.doctor import launch_environment
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SEED = 20240122
 PATIENCE_S = float(os.environ.get("F2S_TEST_PATIENCE_S", "60"))
+F2S = (sys.executable, "-m", "f2s_hpc")
 COUNTED = ("failed", "passed", "skipped", "xfailed", "xpassed", "error")
 
 _reports = mpi.world().Dup() if mpi.size() > 1 else None
@@ -180,6 +181,13 @@ def launch(command: Sequence[str], ranks: int = 1, cwd: pathlib.Path | None = No
     return subprocess.CompletedProcess(list(command), process.returncode, output, errors)
 
 
+def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run the real f2s command in ``cwd``; its exit code must be ``code``."""
+    done = launch([*F2S, *map(str, arguments)], ranks, cwd)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
 @pytest.fixture
 def run_f2s(tmp_path: pathlib.Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Return ``run(args, ranks=1, cwd=None, timeout=600, environment=None)``: the real f2s command.
@@ -192,7 +200,6 @@ def run_f2s(tmp_path: pathlib.Path) -> Callable[..., subprocess.CompletedProcess
 
     def run(args: Sequence[str], ranks: int = 1, cwd: pathlib.Path | None = None, timeout: float = 600,
             environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "f2s_hpc", *map(str, args)]
-        return launch(command, ranks, cwd or tmp_path, timeout, environment)
+        return launch([*F2S, *map(str, args)], ranks, cwd or tmp_path, timeout, environment)
 
     return run

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import pathlib
 import shutil
-import sys
 
 import numpy as np
 import pytest
-from conftest import launch
+from conftest import f2s
 from solver_setup import ALL_SYMMETRY, STANDARD_SIDES, make_block, make_model, make_setup, never_yields
 from test_sleep import whole
 
@@ -117,18 +115,12 @@ output = { picture = false }
 """
 
 
-def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path) -> str:
-    done = launch([sys.executable, "-m", "f2s_hpc", *map(str, arguments)], ranks, cwd)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 def test_three_ranks_and_a_resumed_run_give_the_same_bits(tmp_path):
     """Fails when the field ``lent_mass`` is not saved, or not exchanged."""
     (tmp_path / "thin.toml").write_text(SCENE, encoding="utf-8")
     for ranks in (1, 3):
         f2s("run", "thin.toml", "--out", f"on-{ranks}", ranks=ranks, cwd=tmp_path)
-    assert "identical in every saved bit" in f2s("compare", "on-1", "on-3", "--exact", cwd=tmp_path)
+    assert "identical in every saved bit" in f2s("compare", "on-1", "on-3", "--exact", cwd=tmp_path).stdout
     summary = runs.read_summary(tmp_path / "on-1")
     assert summary["energy"]["through_faces"] > 0.0
     assert abs(summary["mass_drift_relative"]) < 1e-12
@@ -137,5 +129,5 @@ def test_three_ranks_and_a_resumed_run_give_the_same_bits(tmp_path):
     first, last = list_checkpoints(copy / layout.CHECKPOINTS)
     last.unlink()
     last.with_suffix(".json").unlink()
-    assert f"resuming from {first}" in f2s("resume", copy, ranks=2, cwd=tmp_path)
-    assert "identical in every saved bit" in f2s("compare", "on-1", copy, "--exact", cwd=tmp_path)
+    assert f"resuming from {first}" in f2s("resume", copy, ranks=2, cwd=tmp_path).stdout
+    assert "identical in every saved bit" in f2s("compare", "on-1", copy, "--exact", cwd=tmp_path).stdout

@@ -6,11 +6,10 @@ import math
 import pathlib
 import re
 import shutil
-import sys
 
 import numpy as np
 import pytest
-from conftest import launch
+from conftest import f2s
 from scipy.stats import kstest
 
 from f2s_hpc import mpi
@@ -332,13 +331,6 @@ def test_spheres_that_wait_keep_their_velocities():
 
 
 # --- a run -----------------------------------------------------------------------------------------------------------
-
-
-def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path) -> str:
-    """Run a command of f2s that must succeed; return what it printed."""
-    done = launch([sys.executable, "-m", "f2s_hpc", *map(str, arguments)], ranks, cwd)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 @pytest.fixture(scope="module")

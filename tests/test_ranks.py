@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import pathlib
 import shutil
-import sys
 
 import h5py
 import numpy as np
 import pytest
-from conftest import launch
+from conftest import f2s
 
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
@@ -55,13 +54,6 @@ picture = false
 """
 
 
-def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path) -> str:
-    """Run a command of f2s that must succeed; return what it printed."""
-    done = launch([sys.executable, "-m", "f2s_hpc", *map(str, arguments)], ranks, cwd)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
 def one_rank(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     """Return the folder of the run on one rank; the scene file lies beside it."""
@@ -101,7 +93,7 @@ def test_any_number_of_ranks_gives_the_same_bits(one_rank, ranks):
     folder = one_rank.parent
     f2s("run", "impacts.toml", "--out", f"on-{ranks}", ranks=ranks, cwd=folder)
     assert runs.read_summary(folder / f"on-{ranks}")["ranks"] == ranks
-    said = f2s("compare", one_rank.name, f"on-{ranks}", "--exact", cwd=folder)
+    said = f2s("compare", one_rank.name, f"on-{ranks}", "--exact", cwd=folder).stdout
     assert "identical in every saved bit" in said
     checkpoints = [[path.name for path in list_checkpoints(run / layout.CHECKPOINTS)]
                    for run in (one_rank, folder / f"on-{ranks}")]
@@ -116,8 +108,7 @@ def test_compare_sees_one_bit(one_rank, tmp_path, field):
     copy = tmp_path / "copy"
     shutil.copytree(one_rank, copy)
     change_one_bit(list_checkpoints(copy / layout.CHECKPOINTS)[-1], field)
-    done = launch([sys.executable, "-m", "f2s_hpc", "compare", str(one_rank), str(copy), "--exact"], cwd=tmp_path)
-    assert done.returncode == 1, done.stdout + done.stderr
+    done = f2s("compare", one_rank, copy, "--exact", cwd=tmp_path, code=1)
     assert not done.stderr
     lines = [line for line in done.stdout.splitlines() if "checkpoint cycle" in line]
     assert len(lines) == 1

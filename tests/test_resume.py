@@ -8,18 +8,16 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 
 import pytest
-from conftest import ROOT, launch
+from conftest import F2S, ROOT, f2s
 
 from f2s_hpc.doctor import launch_environment
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
 
 REQUEUE = 75
-F2S = (sys.executable, "-m", "f2s_hpc")
 
 SCENE = """
 title = "Impacts in a small box"
@@ -55,13 +53,6 @@ duration = "60 ns"
 picture = false
 frame_interval = "25 ns"
 """
-
-
-def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path, code: int = 0) -> subprocess.CompletedProcess[str]:
-    """Run f2s; its exit code must be ``code``."""
-    done = launch([*F2S, *map(str, arguments)], ranks, cwd)
-    assert done.returncode == code, done.stdout + done.stderr
-    return done
 
 
 def interrupted(arguments: list[object], ranks: int, cwd: pathlib.Path, when: str) -> tuple[int, str]:

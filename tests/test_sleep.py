@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pathlib
 import shutil
-import sys
 
 import numpy as np
 import pytest
-from conftest import launch
+from conftest import f2s
 from solver_setup import ALL_SYMMETRY, cell_coordinates, make_block, make_model, make_setup
 
 from f2s_hpc import mpi
@@ -204,12 +203,6 @@ output = { picture = false }
 """
 
 
-def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path, code: int = 0) -> str:
-    done = launch([sys.executable, "-m", "f2s_hpc", *map(str, arguments)], ranks, cwd)
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
 def one_rank(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     """Return the folder of a run on one rank; the scene file lies beside it."""
@@ -224,7 +217,7 @@ def test_any_number_of_ranks_gives_the_same_bits(one_rank, ranks):
     """Fails when ``_planes`` leaves out ``mpi.maximum`` (take ``square`` itself)."""
     folder = one_rank.parent
     f2s("run", "deep.toml", "--out", f"on-{ranks}", ranks=ranks, cwd=folder)
-    assert "identical in every saved bit" in f2s("compare", "on-1", f"on-{ranks}", "--exact", cwd=folder)
+    assert "identical in every saved bit" in f2s("compare", "on-1", f"on-{ranks}", "--exact", cwd=folder).stdout
 
 
 def test_resumed_it_sleeps_on(one_rank, tmp_path):
@@ -240,5 +233,5 @@ def test_resumed_it_sleeps_on(one_rank, tmp_path):
     first, last = list_checkpoints(copy / layout.CHECKPOINTS)
     last.unlink()
     last.with_suffix(".json").unlink()
-    assert f"resuming from {first}" in f2s("resume", copy, ranks=3, cwd=tmp_path)
-    assert "identical in every saved bit" in f2s("compare", one_rank, copy, "--exact", cwd=tmp_path)
+    assert f"resuming from {first}" in f2s("resume", copy, ranks=3, cwd=tmp_path).stdout
+    assert "identical in every saved bit" in f2s("compare", one_rank, copy, "--exact", cwd=tmp_path).stdout

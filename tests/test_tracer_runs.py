@@ -7,11 +7,10 @@ import dataclasses
 import json
 import pathlib
 import shutil
-import sys
 
 import numpy as np
 import pytest
-from conftest import launch
+from conftest import f2s
 
 from f2s_hpc.cli.main import main
 from f2s_hpc.cycles.tracers import PLACES
@@ -65,13 +64,6 @@ tracers = 40
 """
 
 
-def f2s(*arguments: object, ranks: int = 1, cwd: pathlib.Path, code: int = 0) -> str:
-    """Run a command of f2s; its exit code must be ``code``; return what it printed."""
-    done = launch([sys.executable, "-m", "f2s_hpc", *map(str, arguments)], ranks, cwd)
-    assert done.returncode == code, done.stdout + done.stderr
-    return done.stdout if code == 0 else done.stderr
-
-
 # --- files ------------------------------------------------------------------------------------------
 
 
@@ -98,7 +90,7 @@ def test_any_number_of_ranks_gives_the_same_points(one_rank, ranks):
     """Fails if points are not handed over: leave ``self.migrate()`` out of ``Tracers.move``."""
     f2s("run", "impacts.toml", "--out", f"on-{ranks}", ranks=ranks, cwd=one_rank.parent)
     other = one_rank.parent / f"on-{ranks}"
-    assert "identical in every saved bit" in f2s("compare", one_rank, other, "--exact", cwd=one_rank.parent)
+    assert "identical in every saved bit" in f2s("compare", one_rank, other, "--exact", cwd=one_rank.parent).stdout
     assert set(PLACES) <= set(read_manifest(list_checkpoints(other / layout.CHECKPOINTS)[-1]).fields)
     same_points(one_rank, other)
 
@@ -108,11 +100,11 @@ def test_stopped_and_resumed_on_other_ranks_points_end_in_the_same_place(one_ran
     scene, run = one_rank.parent / "impacts.toml", tmp_path / "run"
     f2s("run", scene, "--out", run, "--set", "run.wall_time=1 ms", ranks=2, cwd=tmp_path, code=75)
     assert runs.read_summary(run)["cycles"] == 0
-    said = f2s("resume", run, "--set", "output.tracers=20", cwd=tmp_path, code=2)
+    said = f2s("resume", run, "--set", "output.tracers=20", cwd=tmp_path, code=2).stderr
     assert len(said.splitlines()) == 1
     assert "output.tracers: this run follows 40 points" in said
     f2s("resume", run, "--set", "run.wall_time=1 h", ranks=3, cwd=tmp_path)
-    assert "identical in every saved bit" in f2s("compare", one_rank, run, "--exact", cwd=tmp_path)
+    assert "identical in every saved bit" in f2s("compare", one_rank, run, "--exact", cwd=tmp_path).stdout
     same_points(one_rank, run)
 
 
