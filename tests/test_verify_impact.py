@@ -133,13 +133,15 @@ def test_cylinder_brings_its_mass_and_energy():
 def test_taylor_bar_length():
     """Length in the course of 80 us and at the end, foot radius at the end, at four cells per radius.
 
-    Fails if plastic flow does not harden (``hardening_modulus = 0``): the length is then off by 4 %; or if mixed cells
-    keep a pressure of zero (``clear * (normal + 2.0 * shear)`` of ``surface_pressure``): the foot tears, 14 % off.
+    Fails if plastic flow does not harden (``hardening_modulus = 0``): the length is then off by 4 %; if mixed cells
+    keep a pressure of zero (``clear * (normal + 2.0 * shear)`` of ``surface_pressure``): the foot tears, 14 % off; or
+    if the rim is held to the speed limit of sprayed fragments (without ``_NO_LIMIT``): 6 % too small at 2 us.
     """
     found = rows("taylor-bar", "resolutions=4")
     assert error(found, "final length", 4.0) < 0.008
     assert error(found, "history of the length", 4.0) < 0.01
-    assert error(found, "foot radius", 4.0) < 0.03
+    assert error(found, "foot radius", 4.0) < 0.015
+    assert error(found, "history of the radius", 4.0) < 0.055
     assert found["final length", 4.0].measured.bar == 0.005
     assert found["foot radius", 4.0].measured.bar == 0.015
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import SIDES
-from f2s_hpc.kernels import flux, momentum, remap
+from f2s_hpc.kernels import flux, momentum, remap, seal
 from f2s_hpc.solver import absorbing
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -59,6 +59,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
             state.exchange(VELOCITY, LAYERS_OF_NODES, order[position + 1])
         else:
             state.exchange(state.carried_cells, layers=1)
+            _seal(state, model)
             state.exchange(VELOCITY)
             if heats:
                 state.exchange(("lost_energy",), layers=2)
@@ -171,3 +172,11 @@ def _close(state: State, model: Model, ledger: Ledger) -> None:
                       state.flat["volume_fraction"], state.pool.memory, state.offsets(state.carried_cells),
                       model.mass_quantum, sums)
     ledger.add("mass_capped", sums[0])
+
+
+def _seal(state: State, model: Model) -> None:
+    """Close traces of void inside material, in the first layer of ghosts too; needs theirs and two of mass."""
+    runs, count = state.runs
+    seal.seal_cells(runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.part.cell_shape[1:],
+                    model.bulk.spall_pressure, model.bulk.bulk_modulus, state.flat["mass"], state.flat["peeq"],
+                    state.flat["volume_fraction"])
