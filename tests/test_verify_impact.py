@@ -206,11 +206,12 @@ def test_extrapolation_finds_limit_and_order():
 def test_energy_of_a_particle(name):
     """The remainder is small and falls with the step; every numerical part but the light nodes falls with dx.
 
-    Fails if the ledger forgets the work withheld from light nodes (``withheld``), or the hourglass power of a step.
+    Fails if the ledger forgets the work withheld from light nodes (``withheld``), or the hourglass power of a step; or
+    if the second half of a step's kick is left to the step after the remap (0.24 and 0.39 % at 12 cells).
     """
     found = rows(name)
-    assert found["remainder", 12.0].passed
-    assert error(found, "remainder", 8.0) < 0.01
+    assert error(found, "remainder", 12.0) < 0.0015
+    assert error(found, "remainder", 8.0) < 0.005
     assert found["remainder, half the step over whole", 8.0].passed
     for part in ("hourglass", "remap_kinetic", "remap_elastic", "numerical loss"):
         assert error(found, part, 12.0) < error(found, part, 8.0)

@@ -18,7 +18,7 @@ from f2s_hpc.materials.pressure import pressure, stiffness
 
 RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, CORNERS, VOLUME, COFACTOR, GRADIENT, ROWS = (
     0, 1, 2, 3, 4, 5, 6, 15, 23, 24, 33, 42)
-"""Scratch rows of a chunk: divergence, pressure plus viscosity, hourglass coefficient, viscous pressure,
+"""Scratch rows of a chunk: divergence, pressure (then plus viscosity), hourglass coefficient, viscous pressure,
 hourglass power, wave speed, nine weighted stresses (x, y, z force on the x, y, z faces), forces on four left and four
 right corners, volume ratio; of a displaced mesh nine cofactors and nine of the velocity gradient."""
 
@@ -43,7 +43,7 @@ def _divergence(pa, pb, pc, pd, qa, qb, qc, qd, ra, rb, rc, rd, scale, s):
 
 @inlined
 def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourglass, s):
-    """Pressure plus shock viscosity, hourglass coefficient, viscous pressure and wave speed of a chunk of cells."""
+    """Pressure, hourglass coefficient, viscous pressure and wave speed of a chunk of cells."""
     linear, quadratic = viscosity
     shear = 4.0 / 3.0 * bulk.shear_modulus
     for i in range(mass.size):
@@ -59,7 +59,7 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
         closing = max(full, shut) * min(s[RATE * W + i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening
-        s[TOTAL * W + i] = p + q
+        s[TOTAL * W + i] = p
         s[COEFFICIENT * W + i] = hourglass * bulk.density * x * sound * dx * dx / 64.0
         s[SHOCK * W + i] = q
         s[POWER * W + i] = 0.0
@@ -161,9 +161,9 @@ def _add_corners(f, left, right):
 
 
 @kernel
-def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, viscosity, hourglass, mass, fraction,
-                 energy, stress, u, v, w, fx, fy, fz, displaced, x, y, z, gx, gy, gz, shock, hourglass_power, closing,
-                 power_quantum, sums):
+def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, viscosity, hourglass, again,
+                 mass, fraction, energy, stress, u, v, w, fx, fy, fz, displaced, way, x, y, z, gx, gy, gz, shock,
+                 hourglass_power, closing, power_quantum, sums):
     """Add every active cell's forces (N) to its nodes; ``fx``, ``fy``, ``fz`` must be zero before.
 
     Parameters
@@ -177,10 +177,11 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
         (von Neumann and Richtmyer 1950; Landshoff 1955).
     hourglass : share of an hourglass mode removed per sound crossing of a cell (viscous form,
         Flanagan and Belytschko 1981).
+    again : forces at the end of a step: take the viscous pressure from ``shock``, where those at its start left it.
     mass, fraction, energy, stress : flat cell arrays; ``stress`` a tuple of six (Pa).
     u, v, w, fx, fy, fz : flat node arrays, velocity (m/s) and force (N).
-    displaced, x, y, z, gx, gy, gz : whether the nodes are displaced since the last remap, by how much (in cells), and
-        what the low faces of the cells have swept since.
+    displaced, way, x, y, z, gx, gy, gz : whether the nodes are displaced since the last remap, by ``way`` times how
+        much (in cells), and what the low faces of the cells have swept since.
     shock, hourglass_power, closing : flat node-shaped arrays that take, per cell, the viscous pressure (Pa), the power
         of hourglass control (W) and the velocity divergence (1/s), for the heat they become.
     sums : int64[1], power of hourglass control in units of ``power_quantum``.
@@ -213,9 +214,9 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
                 gradient(u[a:a + m], u[b:b + m], u[c:c + m], u[d:d + m], 0.25 / dx, g)
                 gradient(v[a:a + m], v[b:b + m], v[c:c + m], v[d:d + m], 0.25 / dx, g[3 * W:])
                 gradient(w[a:a + m], w[b:b + m], w[c:c + m], w[d:d + m], 0.25 / dx, g[6 * W:])
-                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25, cof)
-                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25, cof[3 * W:])
-                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25, cof[6 * W:])
+                gradient(x[a:a + m], x[b:b + m], x[c:c + m], x[d:d + m], 0.25 * way, cof)
+                gradient(y[a:a + m], y[b:b + m], y[c:c + m], y[d:d + m], 0.25 * way, cof[3 * W:])
+                gradient(z[a:a + m], z[b:b + m], z[c:c + m], z[d:d + m], 0.25 * way, cof[6 * W:])
                 cofactors(n, cof)
                 volume_ratios(gx[a:a + n], gx[a + 1:a + n + 1], gy[a:a + n], gy[b:b + n], gz[a:a + n], gz[c:c + n],
                               s[VOLUME * W:VOLUME * W + n])
@@ -229,7 +230,11 @@ def nodal_forces(runs, count, window, owned, shape, dx, last_dt, bulk, eos, visc
             xx, yy, zz = stress[0][cell:end], stress[1][cell:end], stress[2][cell:end]
             xy, yz, xz = stress[3][cell:end], stress[4][cell:end], stress[5][cell:end]
             _pressure(mass[cell:end], f, e, dx, last_dt, bulk, eos, viscosity, hourglass, s)
-            surface_pressure(mass, f, xx, yy, zz, xy, yz, xz, cell, shape, s[TOTAL * W:], s[SHOCK * W:], corners)
+            if again:
+                s[SHOCK * W:SHOCK * W + n] = shock[a:a + n]
+            surface_pressure(mass, f, xx, yy, zz, xy, yz, xz, cell, shape, s[TOTAL * W:], corners)
+            for i in range(n):
+                s[TOTAL * W + i] += s[SHOCK * W + i]
             if displaced:
                 _weigh_displaced(f, xx, yy, zz, xy, yz, xz, area, s)
             else:

@@ -93,11 +93,11 @@ def _chunk_normals(mass, cell, n, row, plane, out):
 
 
 @inlined
-def surface_pressure(mass, fraction, xx, yy, zz, xy, yz, xz, cell, shape, total, shock, normals):
-    """Put the pressure of zero normal traction (Pa), plus the viscous one, into the mixed cells of a scratch row.
+def surface_pressure(mass, fraction, xx, yy, zz, xy, yz, xz, cell, shape, total, normals):
+    """Put the pressure of zero normal traction (Pa) into the mixed cells of a scratch row.
 
     ``mass``: whole flat array, ``fraction`` and stress: of the chunk that starts at ``cell``; ``shape``: (ny, nx) of a
-    cell array; ``total``, ``shock``: scratch rows; ``normals``: four free ones.
+    cell array; ``total``: a scratch row; ``normals``: four free ones.
     """
     if not _any_mixed(fraction):
         return
@@ -107,7 +107,7 @@ def surface_pressure(mass, fraction, xx, yy, zz, xy, yz, xz, cell, shape, total,
         normal = (nx * nx * xx[i] + ny * ny * yy[i]) + nz * nz * zz[i]
         shear = (nx * ny * xy[i] + ny * nz * yz[i]) + nx * nz * xz[i]
         mixed = (fraction[i] < 1.0) & (fraction[i] > 0.0)
-        total[i] = clear * (normal + 2.0 * shear) + shock[i] if mixed else total[i]
+        total[i] = clear * (normal + 2.0 * shear) if mixed else total[i]
 
 
 @inlined

@@ -110,16 +110,17 @@ def closure(x, fraction, jacobian, energy, eos, spall):
 
 
 @inlined
-def _close_chunk(mass, fraction, energy, shock, closing, dt, bulk, eos, s):
+def _close_chunk(mass, fraction, energy, shock, closing, times, bulk, eos, s):
     """Volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk.
 
-    ``shock``, ``closing``: viscous pressure (Pa) in this step's forces, and the divergence (1/s) before them: its work
-    over the step is that at the mean of the divergences before and after, as it is for the nodes.
+    ``shock``, ``closing``: viscous pressure (Pa) in this step's forces, and the divergence (1/s) before them;
+    ``times``: how long (s) it works on that, and on the divergence after, as the nodes' kicks have it.
     """
     for i in range(mass.size):
         rate = s[i] + s[4 * W + i] + s[8 * W + i]
         s[AFTER * W + i] = closure(mass[i], fraction[i], s[VOLUME * W + i], energy[i], eos, bulk.spall_pressure)
-        s[VISCOUS * W + i] = -0.5 * dt * fraction[i] * s[VOLUME_BEFORE * W + i] * shock[i] * (closing[i] + rate)
+        closed = times[0] * closing[i] + times[1] * rate
+        s[VISCOUS * W + i] = -fraction[i] * s[VOLUME_BEFORE * W + i] * shock[i] * closed
 
 
 @inlined
@@ -188,11 +189,12 @@ def _sum_row(row, n, scale, s):
 
 
 @kernel
-def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow, heating, mass, fraction, energy,
-                    stress, peeq, temperature, u, v, w, displaced, x, y, z, gx, gy, gz, before, shock, hourglass,
-                    node_heat, closing, quantum, sums):
+def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eos, flow, heating, mass, fraction,
+                    energy, stress, peeq, temperature, u, v, w, displaced, x, y, z, gx, gy, gz, before, shock,
+                    hourglass, node_heat, closing, quantum, sums):
     """Strain, stress, plastic flow, heating and closure of the cells in ``window``.
 
+    ``times``: how long (s) the viscous pressure works on the divergence before and after the kick.
     Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p).
     ``heating``: (share of the shock viscosity's work that heats, share of what hourglass control, remap and light-node
     exchange took that heats as plastic work does). ``displaced``: nodes are displaced by ``x``, ``y``, ``z`` (in cells)
@@ -243,7 +245,7 @@ def lagrangian_step(runs, count, window, shape, dt, dx, largest, bulk, eos, flow
                           s[VOLUME * W:VOLUME * W + n])
             filled, f, t = mass[cell:end], fraction[cell:end], temperature[cell:end]
             e = energy[cell:end] if carried else nothing[:n]
-            _close_chunk(filled, f, e, shock[a:a + n], closing[a:a + n], dt, bulk, eos, s)
+            _close_chunk(filled, f, e, shock[a:a + n], closing[a:a + n], times, bulk, eos, s)
             surface_strain(mass, f, cell, shape, s, moved)
             _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
                           stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)

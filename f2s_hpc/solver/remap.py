@@ -26,7 +26,7 @@ def sweep_order(number: int) -> tuple[int, int, int]:
 def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     """Carry every field back onto the grid; the order of the three sweeps changes with ``number``, that of the remap.
 
-    Valid before: ghosts of mass and velocity.
+    Valid before: ghosts of mass.
     The kinetic energy that the mixing of nodes takes is added to what light nodes lost in this step, and entered.
     """
     # where losses do not heat they are counted in an array that is free until the next forces
@@ -40,6 +40,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     state.exchange(("volume_fraction",))
     absorbing.lend_mass(state, model, ledger)
     state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[0])
+    state.exchange(VELOCITY, LAYERS_OF_NODES, order[0])
     for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)
         _count_energy_out(state, model, axis, ledger)

@@ -44,9 +44,10 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
             most: int | None = None, follow: Callable[[float, bool], None] | None = None) -> None:
     """Take Lagrangian steps on the moving mesh, then remap back onto the fixed one.
 
-    As many steps as the settings allow, at most ``most``; velocity at half steps, everything else at whole steps.
-    ``cycle_end``: duration of the cycle (s). Before and after, the ghosts that the next step reads are valid: all of
-    mass, volume fraction and velocity, the first layer of the other fields. Stops all ranks with ``UnstableStep``.
+    As many steps as the settings allow, at most ``most``; between two remaps velocity is at half steps, at a remap
+    everything is at the same time. ``cycle_end``: duration of the cycle (s). Before and after, the ghosts that the next
+    step reads are valid: all of mass, volume fraction and velocity, the first layer of the other fields. Stops all
+    ranks with ``UnstableStep``.
     ``follow`` is called before the remap, for what moves with the nodes: with the last step (s), and whether others
     before it have displaced them.
     """
@@ -62,15 +63,16 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         _refuse_collapse(state, model, size, limits)
         dt, since, clock.stop = size.dt, size.since, bool(size.rates[4])
         state.pool.cover(int(size.rates[5]))
-        ledger.add_power("hourglass_power", power[0], dt)
 
-        # from the middle of the last step to the middle of this one; at the start only the second half
-        lagrange.kick(state, model, 0.5 * (dt + (clock.dt or 0.0)), ledger)
+        # from the remap, or from the middle of the last step, to the middle of this one
+        kicked = 0.5 * (dt + clock.dt) if displaced else 0.5 * dt
+        ledger.add_power("hourglass_power", power[0], kicked)
+        lagrange.kick(state, model, kicked, ledger)
         limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
         last = size.last or since.steps == most
         if model.settings.conduction and last:
             heat.conduct(state, model, clock.in_cycle + dt - started, displaced)
-        limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger, displaced)
+        limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger, displaced, last)
 
         clock.active_cell_steps += state.active_cells()
         clock.fastest_heavy = max(clock.fastest_heavy, limits.heavy_speed)
@@ -81,6 +83,7 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         lagrange.displace(state, model, dt, displaced)
     if follow is not None:
         follow(dt, displaced)
+    lagrange.second_half(state, model, dt, displaced, ledger)
     remap.remap_all(state, model, clock.remaps, ledger)
     clock.remaps, clock.between_remaps = clock.remaps + 1, clock.in_cycle - started
 
