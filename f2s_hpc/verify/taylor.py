@@ -116,7 +116,7 @@ CASES = (
     Case("taylor-bar",
          "Copper bar, 227 m/s, on a rigid frictionless wall, 80 us: final length and foot radius, and their history at "
          "16 times (largest relative departure), against converged Lagrangian codes (Sierra/SM, Carina).",
-         run, (5.0, 6.0, 8.0), (8.0, 12.0, 16.0, 24.0),
+         run, (4.0, 6.0, 8.0), (8.0, 12.0, 16.0, 24.0),
          {"speed": "227 m/s", "radius": "3.2 mm", "length": "32.4 mm", "material": "copper-taylor"},
          {"speed": "speed", "radius": "length", "length": "length"}),
 )
