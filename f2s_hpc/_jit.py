@@ -16,9 +16,10 @@ import tempfile
 PACKAGE = pathlib.Path(__file__).parent
 
 
-def _source_hash() -> str:
+def source_hash(*folders: str) -> str:
+    """Return a hash of the sources in ``folders`` of the package, and of this file."""
     digest = hashlib.sha256()
-    for folder in ("kernels", "materials"):
+    for folder in folders:
         for path in sorted((PACKAGE / folder).glob("*.py")):
             digest.update(path.read_bytes())
     digest.update(pathlib.Path(__file__).read_bytes())
@@ -33,7 +34,7 @@ def cache_directory() -> str:
         base = str(home / "f2s_hpc")
         if not os.access(home if home.exists() else home.parent, os.W_OK):
             base = os.path.join(tempfile.gettempdir(), f"f2s_hpc-{os.getuid()}")
-    return os.path.join(base, _source_hash())
+    return os.path.join(base, source_hash("kernels", "materials"))
 
 
 os.environ.setdefault("NUMBA_CACHE_DIR", cache_directory())

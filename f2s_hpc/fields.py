@@ -94,7 +94,8 @@ STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stre
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 VOLUME_FLUX = FORCE[0]
-"""Forces are read last when light nodes are calmed. From then to the next forces the volume that passes through faces
+"""Each kick is the last to read its forces (a step's first also leaves velocity changes of light nodes in their place).
+From the middle of a step to the forces of its second half, and again in the remap, the volume that passes through faces
 lies in place of the first."""
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
 DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")

@@ -117,7 +117,8 @@ def test_the_heat_of_the_ledger_is_in_the_material(courant):
 def test_heat_is_that_of_its_three_sources():
     """Taylor-Quinney share of the plastic work, all work of the shock viscosity, and what came back from the losses.
 
-    Fails if the Taylor-Quinney factor is used twice, or ``closing[i] + rate`` of ``_close_chunk`` loses one of the two.
+    Fails if the Taylor-Quinney factor is used twice, or ``_close_chunk`` loses one of its two
+    rates.
     """
     run = impact(0.5)
     energy = run.energy

@@ -89,7 +89,8 @@ def test_the_scene_has_impacts_and_a_batch_that_meets_the_one_before(one_rank):
 
 @pytest.mark.parametrize("ranks", [2, 3, 4])
 def test_any_number_of_ranks_gives_the_same_bits(one_rank, ranks):
-    """Fails if one ghost is not exchanged: leave ``state.exchange(VELOCITY)`` out of ``solver/lagrange.py:kick``."""
+    """Fails if one ghost is not exchanged: leave the last ``state.exchange(VELOCITY)`` out of
+    ``solver/lagrange.py:calm_light_nodes``."""
     folder = one_rank.parent
     f2s("run", "impacts.toml", "--out", f"on-{ranks}", ranks=ranks, cwd=folder)
     assert runs.read_summary(folder / f"on-{ranks}")["ranks"] == ranks

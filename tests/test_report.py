@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import html.parser
 import json
+import math
 import pathlib
 import re
 import shutil
@@ -24,7 +25,7 @@ from f2s_hpc.report.draw import draw_all
 from f2s_hpc.report.facts import flattening_verdict
 from f2s_hpc.report.handover import check_handover
 from f2s_hpc.report.measure import Settings, is_section4, measure
-from f2s_hpc.report.quantities import percent, quantities, tables
+from f2s_hpc.report.quantities import Quantity, percent, quantities, tables
 
 SCENE = """
 title = "Two batches <on> a small patch"
@@ -257,6 +258,17 @@ def test_the_papers_height_stands_beside_section_4_only(two_runs):
     assert heights.rows[0][-2] == "363.00"
     assert heights.rows[0][-1] == percent(found.heights["dense"], 363e-6)
     assert json.dumps(as_dictionary(found), allow_nan=False)
+
+
+def test_shares_differ_in_points_and_all_else_in_percent():
+    """A porosity of 0.02 % against one of 0.05 % is no matter of -60 %; fails if a share is divided by another."""
+    porosity = Quantity("porosity", "porosity", "porosity", 5e-4, "%", 100.0, ".3f")
+    assert porosity.off(2e-4, 5e-4) == "-0.030 points"
+    assert porosity.off(5e-4, 0.0) == "+0.050 points"
+    assert porosity.off(5e-4, 5e-4 + 1e-9) == "+0.000 points"
+    assert porosity.off(None, 5e-4) == porosity.off(math.nan, 5e-4) == "-"
+    height = Quantity("heights", "height_m", "height", 3.3e-4, "µm", 1e6, ".2f")
+    assert height.off(3.3e-4, 3.0e-4) == "+10.0 %"
 
 
 @pytest.mark.parametrize(("arguments", "said"), [

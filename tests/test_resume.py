@@ -134,6 +134,15 @@ def test_resumed_on_another_number_of_ranks_it_ends_in_the_same_bits(stopped_twi
     assert "identical in every saved bit" in f2s("compare", never_stopped, copy, "--exact", cwd=tmp_path).stdout
 
 
+def test_a_resumed_run_takes_a_new_frame_interval(tmp_path):
+    """Frames while it flies, asked for on resume only; fails if the appointments of before stand."""
+    (tmp_path / "flying.toml").write_text(SCENE.replace('frame_interval = "25 ns"', ""), encoding="utf-8")
+    f2s("run", "flying.toml", "--out", "run", "--set", "run.wall_time=1 ms", cwd=tmp_path, code=REQUEUE)
+    f2s("resume", "run", "--set", "run.wall_time=1 h", "--set", "output.frame_interval=25 ns", cwd=tmp_path)
+    # at 25 and 50 ns of each cycle of 60 ns, and at the ends of both
+    assert len(list((tmp_path / "run" / layout.FRAMES).glob("*.vtkhdf"))) == 2 + 4
+
+
 @pytest.mark.parametrize("damage", ["flipped byte", "cut off"])
 def test_a_damaged_checkpoint_is_passed_over(stopped_twice, never_stopped, tmp_path, damage):
     """Fails if ``newest_valid_checkpoint`` trusts the newest file: return ``paths[-1]`` without verifying."""

@@ -8,9 +8,11 @@ import pytest
 from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene, parse_scene
 from f2s_hpc.config.sections import Numerics
+from f2s_hpc.cycles.insert import kinetic_quanta
 from f2s_hpc.errors import InputError
+from f2s_hpc.fields import VELOCITY
 from f2s_hpc.verify import extreme, fuzz, levers, special, watch
-from f2s_hpc.verify.box import make_model, make_setup
+from f2s_hpc.verify.box import make_block, make_model, make_setup, never_yields, node_coordinates
 
 QUICK = [e for e in extreme.matrix() if e.quick]
 BY_NAME = {e.name: e for e in extreme.matrix()}
@@ -161,6 +163,26 @@ def test_watch_sees_what_is_wrong(spoil, reason):
     assert outcome.verdict == watch.FAILED
     assert reason in outcome.reason
     assert not outcome.passed
+
+
+@pytest.mark.mpi
+def test_energy_that_swings_between_motion_and_stress_does_not_rise():
+    """A standing elastic wave, looked at after every remap, over two periods: its energy must only ever fall.
+
+    Fails when velocity is half a step off at a look (leave ``lagrange.second_half`` out of ``advance``).
+    """
+    model = never_yields(make_model(3e-6))
+    setup = make_block((48, 5, 5), model)
+    state = setup.state
+    x = node_coordinates(state)[0]
+    state.views["velocity_x"][...] = np.sin(np.pi * x / 48.0)
+    state.boundary.hold([state.views[n] for n in VELOCITY])
+    setup.ledger.add("brought_in", kinetic_quanta(state, model))
+    eye = watch.Watch(setup, 1.0)
+    sound = np.sqrt((model.bulk.bulk_modulus + 4.0 / 3.0 * model.bulk.shear_modulus) / model.bulk.density)
+    eye.run(4.0 * 48.0 * model.dx / sound, 1)
+    assert setup.clock.steps > 100
+    assert eye.energy_rise < watch.ENERGY_BAR
 
 
 def stopped_by(velocity):

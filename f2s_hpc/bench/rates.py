@@ -14,7 +14,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from f2s_hpc._jit import cache_directory
+from f2s_hpc._jit import cache_directory, source_hash
 from f2s_hpc.bench import crowd, states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
 from f2s_hpc.bench.trial import typical
@@ -199,7 +199,8 @@ def cache_file(scene: Scene) -> pathlib.Path:
     parts = (type(model.flow).__name__, type(model.eos).__name__, "conduction" if s.conduction else "adiabatic",
              "2nd" if s.second_order else "1st")
     own = (scene.domain, scene.batches, scene.particles, scene.numerics)
-    parts = (*parts, hashlib.sha256(repr(own).encode()).hexdigest()[:8])
+    # (the folder follows the kernels; what they cost follows the steps that call them, too)
+    parts = (*parts, hashlib.sha256(repr((own, source_hash("solver"))).encode()).hexdigest()[:8])
     return pathlib.Path(cache_directory()) / f"rates-{'-'.join(parts)}.json"
 
 

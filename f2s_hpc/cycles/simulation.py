@@ -118,7 +118,9 @@ class Simulation:
         if self.flight is not None:
             self.flight.restore(saved["flight"])
         self.rows, self.frame = saved["rows"], saved["frame"]
-        self.next_frame_time = saved["next_frame_time"] or np.inf
+        # an interval that the resumed run was given anew counts from now, if the old appointment is not sooner
+        interval = self.scene.output.frame_interval
+        self.next_frame_time = min(saved["next_frame_time"] or np.inf, clock.time + interval) if interval else np.inf
         self.substrate_quanta = int(saved["substrate_quanta"])
 
     def _attributes(self) -> dict:

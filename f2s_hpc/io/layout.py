@@ -28,7 +28,7 @@ import numpy as np
 from f2s_hpc import mpi
 from f2s_hpc.errors import F2SError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 CHECKPOINTS, FRAMES, TRACERS = "checkpoints", "frames", "tracers"
 SUMMARY_JSON, SUMMARY_CSV = "summary.json", "summary.csv"
 INDEX, SIDECAR = "deposit.vtkhdf", "deposit.xmf"

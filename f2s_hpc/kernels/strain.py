@@ -194,7 +194,8 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
                     hourglass, node_heat, closing, quantum, sums):
     """Strain, stress, plastic flow, heating and closure of the cells in ``window``.
 
-    ``times``: how long (s) the viscous pressure works on the divergence before and after the kick.
+    ``times``: how long (s) the viscous pressure works on the divergence before and after the kick, and how long
+    hourglass control does.
     Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p).
     ``heating``: (share of the shock viscosity's work that heats, share of what hourglass control, remap and light-node
     exchange took that heats as plastic work does). ``displaced``: nodes are displaced by ``x``, ``y``, ``z`` (in cells)
@@ -250,7 +251,7 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
             _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
                           stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
             return_chunk(flow, filled, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
-            heat_chunk(filled, t, bulk, heating, dt / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
+            heat_chunk(filled, t, bulk, heating, times[2] / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
                        node_heat[b:b + m], node_heat[c:c + m], node_heat[d:d + m], s)
             if carried:
                 _internal_energy(filled, f, e, stress, cell, dt, bulk, eos, s)

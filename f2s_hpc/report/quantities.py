@@ -39,6 +39,18 @@ class Quantity:
         value = self.value if value is None else value
         return "-" if value is None or not math.isfinite(value) else f"{value * self.scale:{self.form}}"
 
+    def off(self, value: float | None, reference: float | None) -> str:
+        """Return how much ``value`` exceeds ``reference`` (SI) as text: in percent, or for a share, in points.
+
+        A percentage of a porosity near zero would make much of nothing.
+        """
+        if self.unit != "%":
+            return percent(value, reference)
+        if value is None or reference is None or not (math.isfinite(value) and math.isfinite(reference)):
+            return "-"
+        digits = self.form.lstrip("+")
+        return f"{round((value - reference) * self.scale, int(digits[1:-1])) + 0.0:+{digits}} points"
+
 
 def _length(group: str, key: str, name: str, value: float | None, paper: float | None = None,
             form: str = ".2f") -> Quantity:
@@ -228,7 +240,7 @@ class Table:
 def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
     """Return the quantities of one or two runs as tables, one per group, with the paper's values where it has them.
 
-    With two runs a column tells by how much the second exceeds the first.
+    With two runs a column tells by how much the second exceeds the first: in percent, shares in points.
     """
     lists = [quantities(found) for _, found in runs]
     by_key = [{q.key: q for q in one} for one in lists]
@@ -245,9 +257,9 @@ def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
             if len(runs) == 2:
                 # by how many percent a scatter differs says nothing
                 own = q.name.startswith(_INDENT)
-                line.append("" if own else percent(others[1].value if others[1] else None, q.value))
+                line.append("" if own else q.off(others[1].value if others[1] else None, q.value))
             if with_paper:
-                line += ["-", "-"] if q.paper is None else [q.text(q.paper), percent(q.value, q.paper)]
+                line += ["-", "-"] if q.paper is None else [q.text(q.paper), q.off(q.value, q.paper)]
             rows.append(line)
         result.append(Table(group, head, rows))
     return result

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
@@ -19,7 +17,7 @@ def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray,
            displaced: bool = False) -> tuple[float, int]:
     """Sum the cells' forces on the owned nodes.
 
-    Reads mass, volume fraction, stress (ghosts valid) and the velocity of the last step; writes the
+    Reads mass, volume fraction, stress and velocity (ghosts valid); writes the
     nodal masses and forces, and what will be heat: viscous pressure and hourglass power of the cells, lost energy of
     the nodes. ``last_dt``: the last step (s). ``ledger_power`` int64[1] receives the power of hourglass control.
     ``displaced``: a step was taken since the last remap; what was lost before it has been returned by that one.
@@ -120,11 +118,12 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
 
 
 def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: bool = False,
-           last: bool = True) -> tuple[float, int]:
+           last: bool = True, kicked: float | None = None) -> tuple[float, int]:
     """Strain the cells with the new velocity: swept volumes of the faces, stress, plastic flow, heating, closure.
 
-    ``displaced``: a step was taken since the last remap; ``last``: :func:`second_half` and a remap come next. Ghosts of
-    what changes are not valid after. Returns the largest velocity-gradient norm (1/s) and the flat index of its cell.
+    ``displaced``: a step was taken since the last remap; ``last``: :func:`second_half` and a remap come next;
+    ``kicked``: duration (s) of the kick before, half the step if not given. Ghosts of what changes are not valid after.
+    Returns the largest velocity-gradient norm (1/s) and the flat index of its cell.
     """
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
@@ -136,8 +135,12 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
                          *(state.displacement if displaced else state.velocity), *state.sweep,
                          state.flat[VOLUME_FLUX])
     # a kick from half step to half step works with the mean of both velocities, one of half a step beside a remap with
-    # the new one, and second_half, which has this step's viscous pressure again, too
-    times = 0.5 * dt if displaced else 0.0, dt if last else 0.5 * dt
+    # the new one, and second_half, which has this step's viscous pressure again, too. Hourglass control has another
+    # power there, but heat of the first is near enough
+    kick = 0.5 * dt if kicked is None else kicked
+    whole = kick + (0.5 * dt if last else 0.0)
+    before = 0.5 * kick if displaced else 0.0
+    times = before, whole - before, whole
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, times, model.dx, s.largest_strain, model.bulk, model.eos,
         model.flow, (float(s.viscous_heating), float(s.loss_heating)), state.flat["mass"],
@@ -157,8 +160,3 @@ def displace(state: State, model: Model, dt: float, displaced: bool) -> None:
     deformed.move_nodes(runs, count, state.part.cell_shape[1:], not displaced, dt / model.dx, *state.velocity,
                         *state.displacement)
     state.exchange(state.strained_cells, layers=1)
-
-
-def finite(value: float) -> float:
-    """Return ``value``, or infinity where it is not a number: infinity survives a maximum over ranks."""
-    return value if not math.isnan(value) else math.inf

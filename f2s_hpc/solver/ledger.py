@@ -17,7 +17,7 @@ ENERGY_TERMS = {
     "hourglass": "work of the hourglass control",
     "light_nodes": "kinetic energy taken from light nodes: exchange, mass floor, speed cap",
     "remap_kinetic": "kinetic energy lost in the momentum remap, summed node by node",
-    "remap_elastic": "elastic energy lost in the stress remap and the closure",
+    "remap_elastic": "elastic energy lost in the stress remap and the closure, less what sealed traces of void store",
     "time_step": "work of the forces on the nodes less what the cells received: error of the explicit step",
     "put_to_sleep": "kinetic energy of what was put to sleep (numerics.sleeping_depth)",
     "through_faces": "kinetic energy that left through open faces, and what absorbing ones took",

@@ -27,7 +27,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     """Carry every field back onto the grid; the order of the three sweeps changes with ``number``, that of the remap.
 
     Valid before: ghosts of mass.
-    The kinetic energy that the mixing of nodes takes is added to what light nodes lost in this step, and entered.
+    The kinetic energy that the mixing of nodes takes is added to what light nodes lost since the last one, and entered.
     """
     # where losses do not heat they are counted in an array that is free until the next forces
     heats = state.lost.size > 1

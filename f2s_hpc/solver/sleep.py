@@ -4,14 +4,14 @@ The floor is one horizontal plane. Below it nothing is stepped and velocities ar
 wall, as at the bottom of the box. Stress, PEEQ and mass below stay as they are, and heat still flows, there and through
 the floor, in one large step at each look.
 
-Every ``EVERY`` remaps the floor rises to the highest plane that is at least ``sleeping_depth`` below the surface and
-has nothing but rest below it; the surface is the highest plane below which every plane is ``FULL`` filled. A plane is
-at rest while no node of it is faster than a small share of the particles' speed, and no cell under a higher pressure
-than that of a sound wave of that speed (where a wave is thrown back nothing moves, but all is under twice its
-pressure). The kinetic energy of the ringing that is left is taken out and entered in the ledger. The floor falls by
-``MARGIN`` planes when among as many planes above it speed or pressure is ``WAKES`` times as high, and below all
-material that is put in. All sums over ranks are of integers, or are maxima, so any number of ranks finds the same
-floor.
+Every ``EVERY`` remaps, or after each where sound would cross too much in so many, the floor rises to the highest plane
+that is at least ``sleeping_depth`` below the surface and has nothing but rest below it; the surface is the highest
+plane below which every plane is ``FULL`` filled. A plane is at rest while no node of it is faster than a small share of
+the particles' speed, and no cell under a higher pressure than that of a sound wave of that speed (where a wave is
+thrown back nothing moves, but all is under twice its pressure). The kinetic energy of the ringing that is left is taken
+out and entered in the ledger. The floor falls by ``MARGIN`` planes when among as many planes above it speed or pressure
+is ``WAKES`` times as high, and below all material that is put in. All sums over ranks are of integers, or are maxima,
+so any number of ranks finds the same floor.
 
 Measured on a patch of section4 at 6 um, 10 cycles: PEEQ p95 rises by 1.3 to 1.4 % at a depth of 12 cells, and (with
 ``WAKES`` 4, ``MARGIN`` 4) by 1.5 % even at 25, ten times the scatter of the full computation; so it is off by default.
@@ -34,7 +34,7 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 EVERY = 2
-"""Remaps between two looks: a sound wave passes no more than ``MARGIN`` planes in that time."""
+"""Remaps between two looks, if a sound wave passes no more than ``MARGIN`` planes in that time."""
 
 FULL = 0.9
 """Share of a plane that is filled below the surface."""
@@ -57,11 +57,12 @@ class Sleep:
 
 
 def look(state: State, model: Model, sleep: Sleep, time: float, remaps: int, ledger: Ledger) -> None:
-    """Every ``EVERY`` remaps: conduct heat in what sleeps up to ``time`` (s), and find the floor anew (collective).
+    """Every so many remaps: conduct heat in what sleeps up to ``time`` (s), and find the floor anew (collective).
 
     ``remaps``: those done so far. All ghosts must be valid, as after a remap.
     """
-    if remaps % EVERY:
+    s = model.settings
+    if remaps % (EVERY if EVERY * s.steps_per_remap * s.courant <= MARGIN else 1):
         return
     _conduct_asleep(state, model, sleep, time)
     floor = find_floor(state, model)

@@ -46,8 +46,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
 
     As many steps as the settings allow, at most ``most``; between two remaps velocity is at half steps, at a remap
     everything is at the same time. ``cycle_end``: duration of the cycle (s). Before and after, the ghosts that the next
-    step reads are valid: all of mass, volume fraction and velocity, the first layer of the other fields. Stops all
-    ranks with ``UnstableStep``.
+    step reads are valid: all of mass and velocity, the first layer of the other fields. Stops all ranks with
+    ``UnstableStep``.
     ``follow`` is called before the remap, for what moves with the nodes: with the last step (s), and whether others
     before it have displaced them.
     """
@@ -72,7 +72,7 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         last = size.last or since.steps == most
         if model.settings.conduction and last:
             heat.conduct(state, model, clock.in_cycle + dt - started, displaced)
-        limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger, displaced, last)
+        limits.gradient, limits.gradient_cell = lagrange.deform(state, model, dt, ledger, displaced, last, kicked)
 
         clock.active_cell_steps += state.active_cells()
         clock.fastest_heavy = max(clock.fastest_heavy, limits.heavy_speed)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from f2s_hpc import fields, mpi
+from f2s_hpc import mpi
 from f2s_hpc.solver.step import Clock
 from f2s_hpc.state import State
 
@@ -33,10 +33,3 @@ def along_x(state: State, values: np.ndarray) -> np.ndarray:
 def cell_steps(clock: Clock) -> int:
     """Return the active cells of all steps and all ranks."""
     return int(mpi.total(np.int64(clock.active_cell_steps)))
-
-
-def owned_coordinates(state: State, coordinates: Sequence[np.ndarray], location: str) -> list[np.ndarray]:
-    """Return coordinate arrays (broadcastable to local cell or node arrays) cut to the owned part."""
-    owned = state.part.owned_cells if location == fields.CELL else state.part.owned_nodes
-    shape = state.part.cell_shape if location == fields.CELL else state.part.node_shape
-    return [np.broadcast_to(c, shape)[owned] for c in coordinates]

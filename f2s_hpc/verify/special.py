@@ -90,8 +90,8 @@ def _take_steps(watch: Watch, steps: int, check: Callable[[], None]) -> None:
     watch.look()
     for look in range(1, 51):
         while (left := steps * look // 50 - clock.steps) > 0:
-            watch.step(1.0, max(1, left - 1))
-        watch.look(watch.half_step)
+            watch.step(1.0, left)
+        watch.look()
         check()
 
 

@@ -7,9 +7,7 @@ mass        what was put in is in the box, has left through an open side, or was
 energy      kinetic and elastic energy, plastic work, work of the shock viscosity and the kinetic energy that left never
             rise: nothing but the painting of material brings energy in (with Mie-Grueneisen pressure, where heat does
             work too: kinetic and internal energy, less what losses gave back to that, and what left). Kinetic energy
-            that the remap took out of the heat counts as heat. Taken at the middle of a step, where velocity is known,
-            with half of what the stresses stored and spent in that step; a rise counts if it is still there at the
-            next look
+            that the remap took out of the heat counts as heat
 PEEQ        its sum over all material, weighted with mass, never falls by more than what left can have carried away
             (the largest single value may fall: the remap mixes)
 ranks       all ranks end after the same step with the same outcome
@@ -49,9 +47,6 @@ PEEQ_BAR = 1e-12
 
 LEAST_PEEQ = -1e-12
 """The limited remap of a field that is zero next to one that is not rounds to either side of zero."""
-
-LAST_STEPS = 30
-"""The last steps of a run are single ones: a look needs half of what the very last one did."""
 
 MOST_STEPS = 200_000
 """A run that takes more steps than this has failed."""
@@ -98,13 +93,11 @@ class Watch:
     speed: float
     limits: Counter = field(default_factory=Counter)
     substrate: int = 0
-    half_step: float = 0.0  # J, this rank: half of what the stresses stored and spent in the last step
     mass_drift: float = 0.0
     energy_rise: float = 0.0
     peeq_max: float = 0.0
     temperature_max: float = 0.0
-    _energy: float = 0.0  # J, over what was brought in, at the last look
-    _least_energy: float = 0.0
+    _least_energy: float = 0.0  # J, over what was brought in
     _peeq: float = 0.0  # sum over all material, at the last look
     _most_peeq: float = 0.0
     _left: int = 0
@@ -123,36 +116,24 @@ class Watch:
         clock, looked = self.setup.clock, self.setup.clock.steps
         end = duration * (1.0 - 1e-12)
         while clock.in_cycle < end:
-            looks = clock.steps - looked >= interval - 1
-            ends = duration - clock.in_cycle < LAST_STEPS * (clock.dt or duration)
-            self.step(duration, 1 if looks or ends else None)
-            if looks or clock.in_cycle >= end:
+            self.step(duration)
+            if clock.steps - looked >= interval or clock.in_cycle >= end:
                 looked = clock.steps
-                self.look(self.half_step, clock.in_cycle >= end)
+                self.look()
             if clock.steps > MOST_STEPS:
                 raise Broken(f"not at the end after {MOST_STEPS} steps; the step is {clock.dt:.3g} s, limited by "
                              f"{clock.limit}")
 
-    def step(self, duration: float, most: int | None) -> None:
-        """Step towards ``duration`` (s, of this cycle) until the next remap, that is after ``most`` steps at most.
-
-        Only where it was one step can the state be looked at: ``half_step`` is half of all that was done.
-        """
+    def step(self, duration: float, most: int | None = None) -> None:
+        """Step towards ``duration`` (s, of this cycle) until the next remap, that is after ``most`` steps at most."""
         s = self.setup
-        before = self._spent()
         advance(s.state, s.model, s.clock, s.ledger, duration, most)
-        self.half_step = 0.5 * (self._spent() - before)
         self.limits[s.clock.limit] += 1
 
-    def look(self, half_step: float = 0.0, last: bool = False) -> None:
-        """Look at the present state.
-
-        ``half_step``: that of the watch after a step, 0 after material was put in; ``last``: the run ends here.
-        Collective; raises ``Broken``.
-        """
+    def look(self) -> None:
+        """Look at the present state. Collective; raises ``Broken``."""
         self._look_at_fields()
-        balance = self._look_at_mass()
-        self._look_at_energy(balance, half_step, last)
+        self._look_at_energy(self._look_at_mass())
         self._look_at_peeq()
 
     def _at(self) -> str:
@@ -181,22 +162,14 @@ class Watch:
             raise Broken(f"mass: {self.mass_drift:.2e} of it is missing {self._at()}")
         return balance
 
-    def _spent(self) -> float:
-        """Return what the stresses stored and spent so far on this rank (J, up to a constant)."""
-        s = self.setup
-        if s.state.energy.size > 1:
-            inner = s.state.owned("mass") * s.state.owned("internal_energy")
-            # what the numerics lost comes back as heat a step later: neither its absence nor its return is a rise
-            back = s.ledger.counts["returned"] * s.model.energy_quantum / max(s.model.bulk.taylor_quinney, 1e-300)
-            return float(inner.sum()) * s.model.cell_mass - back
-        counts = s.ledger.counts
-        return (counts["elastic_after"] - counts["elastic_before"] + counts["plastic_work"]) * s.model.energy_quantum
-
-    def _look_at_energy(self, balance: dict, half_step: float, last: bool) -> None:
+    def _look_at_energy(self, balance: dict) -> None:
         s, energy = self.setup, balance["energy"]
-        held = energy["kinetic"] + energy["through_faces"] - sum(mpi.all_gather(half_step))
+        held = energy["kinetic"] + energy["through_faces"]
         if s.state.energy.size > 1:
-            held += sum(mpi.all_gather(self._spent()))
+            inner = float((s.state.owned("mass") * s.state.owned("internal_energy")).sum())
+            # what the numerics lost comes back as heat a step later: neither its absence nor its return is a rise
+            back = s.ledger.totals()["returned"] * s.model.energy_quantum / max(s.model.bulk.taylor_quinney, 1e-300)
+            held += sum(mpi.all_gather(inner)) * s.model.cell_mass - back
         else:
             held += energy["elastic"] + energy["plastic_work"] + energy["shock_viscosity"]
         if s.model.settings.loss_heating:
@@ -204,10 +177,8 @@ class Watch:
             # what the remap's ringing makes beyond all losses has been taken out of the heat
             held += min(energy["hourglass"] + energy["remap_kinetic"] + kept, 0.0)
         over, scale = held - energy["brought_in"], energy["brought_in"] or 1.0
-        # in the first step of a contact the strain of a whole step faces a velocity that felt nothing yet
-        lasting = over if last else min(over, self._energy)
-        self.energy_rise = max(self.energy_rise, (lasting - self._least_energy) / scale)
-        self._least_energy, self._energy = min(self._least_energy, over), over
+        self.energy_rise = max(self.energy_rise, (over - self._least_energy) / scale)
+        self._least_energy = min(self._least_energy, over)
         if not self.energy_rise <= ENERGY_BAR:
             raise Broken(f"energy: it rose by {100 * self.energy_rise:.2f} % of what was brought in {self._at()}")
 
