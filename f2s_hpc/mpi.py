@@ -53,11 +53,6 @@ def broadcast(value: Value) -> Value:
     return MPI.COMM_WORLD.bcast(value, root=ROOT)
 
 
-def gather(value: Value) -> list[Value] | None:
-    """Return the list of every rank's ``value`` on rank 0, ``None`` elsewhere."""
-    return MPI.COMM_WORLD.gather(value, root=ROOT)
-
-
 def all_gather(value: Value) -> list[Value]:
     """Return the list of every rank's ``value`` on every rank, in rank order."""
     return MPI.COMM_WORLD.allgather(value)

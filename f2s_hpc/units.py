@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass
-from decimal import Context, Decimal
+from decimal import Context, Decimal, InvalidOperation, Overflow
 
 EXACT = Context(prec=60)
 ZERO_CELSIUS = Decimal("273.15")  # K
@@ -125,11 +125,21 @@ def parse(text: str, dimension: str) -> float:
     match = _QUANTITY.fullmatch(text)
     if match is None:
         raise UnitError(f"not a number with a unit: {hint}")
-    number, unit = Decimal(match[1]), match[2]
+    try:
+        return _si_value(match[1], match[2], want, hint)
+    except Overflow:
+        raise UnitError(f"this is too large: {hint}") from None
+    except InvalidOperation:
+        raise UnitError(f"the exponent of this number is out of range: {hint}") from None
+
+
+def _si_value(digits: str, unit: str, want: Dimension, hint: str) -> float:
+    """Return the SI value of a number and its unit as :func:`parse` does; ``hint`` ends every message."""
+    number = Decimal(digits)
     if not unit:
-        raise UnitError(f'a {want.name} needs a unit: {hint} or "{match[1]} {want.example.split(" ", 1)[1]}"')
+        raise UnitError(f'a {want.name} needs a unit: {hint} or "{digits} {want.example.split(" ", 1)[1]}"')
     if unit in _CELSIUS:
-        if dimension != "temperature":
+        if want.name != "temperature":
             raise UnitError(f"this is a temperature, but a {want.name} is needed: {hint}")
         return _checked_float(EXACT.add(number, ZERO_CELSIUS), hint)
     try:

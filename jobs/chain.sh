@@ -7,9 +7,10 @@
 #   DRY_RUN=1 bash jobs/chain.sh                                             only print the command
 #
 # Ten minutes before the time limit SLURM signals, f2s writes a checkpoint and returns 75, and this job puts
-# itself in the queue again. A node that fails is the same case: SLURM requeues, f2s resumes. Another number of
-# ranks is possible at any link. The chain ends when the run is complete, at any other error, or when a link
-# has gained no checkpoint.
+# itself in the queue again. A node that fails is the same case: SLURM requeues, f2s resumes; before the first
+# checkpoint it starts anew, and what was lost is kept beside as OUT-lost-1, -2, ... Another number of ranks is
+# possible at any link. The chain ends when the run is complete, at any other error, or when a link has gained no
+# checkpoint.
 #
 # Variables: SCENE, OUT, and those of jobs/common.sh.
 #SBATCH --job-name=f2s-chain
@@ -32,13 +33,32 @@ newest_checkpoint() {
     [ ! -d "$OUT/checkpoints" ] || find "$OUT/checkpoints" -name '*.json' | sort | tail -n 1
 }
 
-# link ARGUMENTS...: one job's worth of the run.
+# lost: is OUT the folder of a run that ended before its first checkpoint? (A complete run may have been told to
+# write none.)
+lost() {
+    [ -d "$OUT/checkpoints" ] && [ -z "$(newest_checkpoint)" ] &&
+        ! grep -qs '"status": "complete"' "$OUT/summary.json"
+}
+
+# set_aside: give the folder OUT another name, so that the run can start anew.
+set_aside() {
+    local number=1
+    while [ -e "$OUT-lost-$number" ]; do
+        number=$((number + 1))
+    done
+    echo "$OUT has no checkpoint: starting anew, what is there becomes $OUT-lost-$number"
+    [ "$DRY_RUN" = 1 ] || mv "$OUT" "$OUT-lost-$number"
+}
+
+# link ARGUMENTS...: one job's worth of the run. (f2s itself refuses a folder that is none of its own.)
 link() {
-    if [ -d "$OUT" ] && [ -n "$(ls -A "$OUT")" ]; then
+    if lost; then
+        set_aside
+    elif [ -d "$OUT/checkpoints" ]; then
         run_ranks "$NTASKS" f2s resume "$OUT"
-    else
-        run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" "$@"
+        return
     fi
+    run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" "$@"
 }
 
 # back_to_the_queue: this very job again; where requeueing is switched off, a new job of the same script.

@@ -15,6 +15,7 @@ import pytest
 from conftest import launch
 
 from f2s_hpc import mpi
+from f2s_hpc.cli import tasks
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene, scene_hash, scene_names
 from f2s_hpc.particles.batch import make_batches, read_csv
@@ -146,6 +147,8 @@ BAD = {
     "missing file": (["--set", 'batches.files=["none.csv"]'], ["batches.files", "none.csv"]),
     "bad row": (["--set", 'batches.files=["bad.csv"]'], ["bad.csv", "row 2", "oops"]),
     "sphere outside": (["--set", 'batches.files=["outside.csv"]'], ["outside.csv", "row 1", "0.9"]),
+    "no use": (["--set", "batches.count=2"], ["--set batches.count", "has no effect where batches.spheres are given"]),
+    "undone": (["--set", 'batches.files=["a"]', "--set", "batches={count=1}"], ["--set batches: ", "put it first"]),
     "no equals sign": (["--set", "domain.cell_size"], ["--set domain.cell_size", "key=value"]),
 }
 
@@ -209,11 +212,27 @@ def test_mpirun_gets_the_exit_code_of_bad_input(tmp_path):
     assert os.listdir(tmp_path) == ["two.toml"]
 
 
-def test_an_unknown_command_is_refused(capsys):
+@pytest.mark.mpi
+@pytest.mark.parametrize(("arguments", "word"), [
+    (["runn", "quickstart"], "runn"), (["run"], "SCENE"), (["run", "splat", "--oout", "x"], "--oout"),
+    (["analyse", "x", "--cycle", "one"], "'one'")])
+def test_wrong_arguments_are_one_line_from_rank_0(capsys, arguments, word):
+    """Fails if every rank prints, or if the usage comes along."""
     with pytest.raises(SystemExit) as stop:
-        main(["runn", "quickstart"])
+        main(arguments)
     assert stop.value.code == 2
-    assert "runn" in capsys.readouterr().err
+    out, err = capsys.readouterr()
+    assert not out
+    assert len(err.splitlines()) == int(mpi.is_root())
+    assert not mpi.is_root() or word in err
+
+
+def test_mpirun_gets_the_exit_code_of_wrong_arguments(tmp_path):
+    """Fails if a rank ends before rank 0 has printed, or prints itself."""
+    done = launch([sys.executable, "-m", "f2s_hpc", "runn", "quickstart"], 3, tmp_path, timeout=120)
+    assert done.returncode == 2
+    assert len([line for line in done.stderr.splitlines() if "runn" in line]) == 1
+    assert "usage" not in done.stderr
 
 
 # --- particles ------------------------------------------------------------------------------------------
@@ -237,6 +256,41 @@ def test_particles_writes_the_batches_that_a_run_would_use(capsys, workplace):
     mpi.barrier()
     assert main(["particles", "quickstart", "--out", "out"]) == 2
     assert (not mpi.is_root()) or "not empty" in capsys.readouterr().err
+
+
+@pytest.mark.mpi
+def test_particles_into_a_file_is_one_line_and_leaves_it(capsys, workplace):
+    """Fails if the file is looked into as a folder (``NotADirectoryError``)."""
+    before = snapshot(workplace)
+    mpi.barrier()
+    assert main(["particles", "splat", "--out", "bad.csv"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.splitlines() == (["bad.csv: is a file; name a new folder with --out"] if mpi.is_root() else [])
+    assert main(["particles", "splat", "--out", "bad.csv/new"]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert len(err.splitlines()) == int(mpi.is_root())
+    assert snapshot(workplace) == before
+
+
+@pytest.mark.mpi
+def test_particles_that_cannot_all_be_written_leave_nothing(capsys, workplace, monkeypatch):
+    """Fails if the batches written before a full disk stay, or if the other ranks do not hear of it."""
+    plain = tasks.write_csv
+
+    def full(path, batch) -> None:
+        if path.name == "batch-02.csv":
+            raise OSError(28, "No space left on device")
+        plain(path, batch)
+
+    monkeypatch.setattr(tasks, "write_csv", full)
+    before = snapshot(workplace)
+    mpi.barrier()
+    assert main(["particles", "quickstart", "--out", "out"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == int(mpi.is_root())
+    mpi.barrier()
+    assert snapshot(workplace) == before
 
 
 # --- a run ----------------------------------------------------------------------------------------------
@@ -304,6 +358,29 @@ def test_inspect_and_compare_refuse_what_is_no_run(capsys, tmp_path):
     assert "summary.json" in capsys.readouterr().err
     assert main(["compare", str(tmp_path), str(tmp_path / "none")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ('{"scene": "x"}', "lacks status, particles, ranks"), ("[]", "not a JSON object"), ("{", "not JSON")])
+def test_inspect_refuses_a_foreign_summary(capsys, tmp_path, text, words):
+    """Fails with a ``KeyError`` if the keys are taken without looking whether they are there."""
+    (tmp_path / "summary.json").write_text(text, encoding="utf-8")
+    assert main(["inspect", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert len(err.splitlines()) == 1
+    assert f"summary.json: {words}" in err
+
+
+def test_inspect_refuses_a_table_that_is_no_text(capsys, tmp_path):
+    """Fails with a traceback if only a missing table is thought of."""
+    summary = {"scene": "x", "status": "complete", "particles": 1, "ranks": 1}
+    (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    (tmp_path / "summary.csv").write_bytes(b"\xff\xfe\n1")
+    assert main(["inspect", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert "summary.csv: not a readable table" in err
 
 
 def test_a_run_under_mpirun_prints_plain_lines_once(finished):

@@ -176,9 +176,19 @@ def test_compare_wants_two_runs(tmp_path):
 
 @pytest.mark.mpi
 def test_run_folder_is_made_once(shared_path):
-    """Fails when ``prepare_run_folder`` only looks for a summary: a run that died early has none."""
+    """Fails when ``prepare_run_folder`` only looks for a summary: a run that died early has none.
+
+    Fails, too, when it advises to resume a run that has no finished checkpoint.
+    """
     run = runs.prepare_run_folder(shared_path / "deep" / "run")
     assert sorted(path.name for path in run.iterdir()) == ["checkpoints", "frames"]
+    with pytest.raises(InputError, match="holds a run already, without a checkpoint to continue from; remove it, or"):
+        runs.prepare_run_folder(run)
+    mpi.barrier()
+    if mpi.is_root():
+        for ending in (".h5", ".json"):
+            (run / "checkpoints" / layout.checkpoint_name(1, 20)).with_suffix(ending).touch()
+    mpi.barrier()
     with pytest.raises(InputError, match=r"f2s resume .*run"):
         runs.prepare_run_folder(run)
     mpi.barrier()

@@ -76,7 +76,7 @@ def test_heat_is_conserved_between_slivers_and_void(rng):
 
     Fails when ``min(mass[c + 1], x)`` becomes ``mass[c + 1]``.
     """
-    setup = make_setup((20, 14, 13), MODEL, [(6.1, 7.2, 6.4, 4.6), (14.3, 7.0, 6.2, 3.9)], sides=ALL_SYMMETRY)
+    setup = make_setup((20, 14, 13), MODEL, [(6.1, 7.2, 6.4, 4.6), (14.6, 7.0, 6.2, 3.9)], sides=ALL_SYMMETRY)
     temperature = setup.state.views["temperature"]
     temperature[...] = np.where(setup.state.views["mass"] > 0.0, rng.uniform(300.0, 1200.0, temperature.shape), 0.0)
     before, matter = heat(setup), setup.state.owned("mass") > 0.0

@@ -12,7 +12,7 @@ from f2s_hpc.cycles.flight import CLEARANCE, LOOK, REACH, Flight
 from f2s_hpc.cycles.insert import OVERFILL, paint_arrivals
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.grid.box import GHOST
-from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.batch import Batch, smallest_gap
 
 DX = 3e-6
 CELLS = (24, 20, 40)
@@ -159,6 +159,41 @@ def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup
     assert np.hypot(x[1] - x[0], z[1] - z[0]) >= r[0] + r[1]
     assert z[2] - r[2] >= 9.0 * DX
     assert z[3] == 80e-6
+
+
+def test_a_sphere_that_is_raised_at_launch_does_not_end_up_in_another_of_its_batch(setup):
+    """Material lifts the first up to the second, which stays; both arrive together.
+
+    Fails if ``settle_in_order`` is left out of ``Flight._free_places`` (``settled |= ~hit``): they overlap by a sixth.
+    """
+    state = setup.state
+    k, j, i = np.ogrid[tuple(slice(o, o + n) for o, n in zip(state.part.offset[::-1], state.part.cell_shape))]
+    state.views["mass"][(k < 15) & (j >= 0) & (i < 9)] = 1.0
+    state.settle()
+    flight = Flight(DX, state.part.box.extents)
+    batch = spheres((20e-6, 25e-6, 44e-6, 8e-6), (33e-6, 25e-6, 56e-6, 8e-6), (50e-6, 40e-6, 60e-6, 8e-6))
+    assert flight.launch(state, batch, DOWN, 0.0) == 1
+    assert np.array_equal(flight.spheres.z[1:], batch.z[1:])
+    assert smallest_gap(flight.spheres) >= 1.0
+    assert all(np.array_equal(flight.spheres.z, other) for other in mpi.all_gather(flight.spheres.z))
+    before = mpi.total(state.owned("mass").sum())
+    arrived = flight.arrivals(state, 1e-10, 2e-8)
+    assert arrived[0].count == 3
+    paint_arrivals(state, setup.model, arrived, 700.0, setup.ledger)
+    assert mpi.maximum(np.float64(state.owned("mass").max())) <= OVERFILL
+    added = (mpi.total(state.owned("mass").sum()) - before) * DX**3
+    assert added == pytest.approx(3.0 * 4.0 / 3.0 * np.pi * (8e-6) ** 3, rel=1e-9, abs=0.0)
+
+
+def test_of_spheres_launched_into_each_other_the_later_starts_higher(setup):
+    """Three at one place; fails if ``settle_in_order`` goes through the batch backwards, or takes one round only."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    batch = spheres(*[(30e-6, 30e-6, 60e-6, 8e-6)] * 3)
+    assert flight.launch(setup.state, batch, DOWN, 0.0) == 2
+    z = flight.spheres.z
+    assert z[0] == 60e-6
+    assert z[1:] - z[:-1] == pytest.approx(16e-6, abs=CLEARANCE * DX)
+    assert smallest_gap(flight.spheres) >= 1.0
 
 
 def test_a_sphere_that_does_not_fit_under_the_top_stops_the_run_on_all_ranks(setup):

@@ -14,7 +14,7 @@ from f2s_hpc.cycles.insert import OVERFILL, InsertReport, paint_batch, paint_sub
 from f2s_hpc.fields import BY_NAME, NODE, STRESS, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import paint, remap
-from f2s_hpc.particles.batch import Batch, clipped_volume
+from f2s_hpc.particles.batch import Batch, clipped_volume, join
 
 pytestmark = pytest.mark.mpi
 
@@ -256,6 +256,44 @@ def test_a_sphere_without_a_free_place_waits(setup):
     again = later.put(report.deferred, 36e-6)
     assert again.moved == 0
     assert np.isclose(again.volume, volume_inside(batch, 36e-6), rtol=1e-12, atol=0.0)
+
+
+def test_a_sphere_that_waited_is_moved_out_of_the_batch_it_is_joined_to(setup):
+    """The later one of the list is moved, wherever it would meet the other; what meets nothing keeps its very place.
+
+    Fails if ``settle_in_order`` is left out of ``insert._free_places``: nothing is moved, and cells hold 2.
+    """
+    coming = batch_of((28.0, 25.0, 30.0, 8.0), (12.0, 12.0, 70.0, 9.0))
+    waiting = batch_of((32.0, 25.0, 30.0, 8.0), (44.0, 36.0, 60.0, 7.0))
+    batch = join([coming, waiting])
+    report = setup.put(batch)
+    assert (report.spheres, report.moved, report.deferred) == (4, 1, None)
+    assert "1 spheres moved" in report.message()
+    asked, placed = (np.array(which.arrays[:3]) for which in (batch, report.positions))
+    assert (placed != asked).any(axis=0).tolist() == [False, False, True, False]
+    assert np.linalg.norm(placed[:, 2] - placed[:, 0]) >= 16e-6
+    assert all(np.array_equal(placed, other) for other in mpi.all_gather(placed))
+    assert setup.whole("mass").max() <= OVERFILL
+    assert np.isclose(setup.volume(), volume_inside(batch), rtol=1e-12, atol=0.0)
+
+
+def test_a_sphere_that_finds_no_place_beside_its_batch_waits(setup):
+    """Two of the largest in a layer for one; fails if ``_proposal`` looks at material only."""
+    batch = batch_of((24.0, 25.0, 22.0, 20.0), (26.0, 25.0, 24.0, 20.0))
+    report = setup.put(batch, 36e-6)
+    assert (report.spheres, report.moved, report.deferred.count) == (1, 0, 1)
+    assert report.deferred.x[0] == batch.x[1]
+    assert "1 spheres found no free place" in report.message()
+    assert setup.whole("mass").max() <= OVERFILL
+
+
+def test_spheres_that_share_less_than_a_cell_may_be_overfilled_by_keep_their_places(setup):
+    """Written with few digits, spheres in touch overlap a little; fails if ``shareable_volume`` returns 0."""
+    batch = batch_of((20.0, 25.0, 30.0, 8.0), (35.96, 25.0, 30.0, 8.0))
+    report = setup.put(batch)
+    assert report.moved == 0
+    assert np.array_equal(report.positions.x, batch.x)
+    assert setup.whole("mass").max() <= OVERFILL
 
 
 def test_the_exact_sum_of_mass_is_the_same_on_any_rank(setup):

@@ -16,7 +16,7 @@ from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import ownership_ranges, process_grid
 from f2s_hpc.io import runs
 from f2s_hpc.particles.batch import make_batches
-from f2s_hpc.verify.watch import prepare
+from f2s_hpc.verify.scenes import prepare
 from f2s_hpc.workload import memory
 
 SHORT = ["cycles.count=1", "cycles.duration=3 ns", "cycles.last_duration=3 ns", "output.checkpoints=true",

@@ -22,9 +22,10 @@ from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.report.commands import as_dictionary
 from f2s_hpc.report.deposit import checkpoint_fields, checkpoints_by_cycle, load_deposit
 from f2s_hpc.report.draw import draw_all
-from f2s_hpc.report.facts import flattening_verdict
+from f2s_hpc.report.facts import flattening_verdict, handover_text
 from f2s_hpc.report.handover import check_handover
 from f2s_hpc.report.measure import Settings, is_section4, measure
+from f2s_hpc.report.page import build_page
 from f2s_hpc.report.quantities import Quantity, percent, quantities, tables
 
 SCENE = """
@@ -72,6 +73,20 @@ def two_runs(tmp_path_factory) -> tuple[pathlib.Path, pathlib.Path]:
         assert main(["run", str(folder / "scene.toml"), "--out", str(made[-1]), "--set",
                      f'material.name="{material}"']) == 0
     return made[0], made[1]
+
+
+@pytest.fixture(scope="module")
+def ballistic_run(two_runs) -> pathlib.Path:
+    """Return the folder of the first run with the default flight."""
+    folder = two_runs[0].parent
+    assert main(["run", str(folder / "scene.toml"), "--out", str(folder / "ballistic"), "--set",
+                 'particles.flight="ballistic"']) == 0
+    return folder / "ballistic"
+
+
+@pytest.fixture(params=["eulerian", "ballistic"])
+def run_of_each_flight(request, two_runs, ballistic_run) -> pathlib.Path:
+    return two_runs[0] if request.param == "eulerian" else ballistic_run
 
 
 @pytest.fixture(scope="module")
@@ -136,31 +151,47 @@ def test_a_cycle_without_its_checkpoint_is_read_from_its_frame(two_runs, tmp_pat
         load_deposit(copy, 7)
 
 
-def test_the_handover_changes_nothing_but_the_new_particles(two_runs):
-    found = check_handover(two_runs[0])
+def test_the_handover_changes_nothing_but_the_new_particles(run_of_each_flight):
+    """Fails when ``_put_in`` returns ``report.positions`` for both flights: a ballistic batch is only launched."""
+    found = check_handover(run_of_each_flight)
     assert (found.cycle, found.particles, found.exact, found.different) == (1, 6, True, 0)
     assert 0 < found.new_cells < found.cells
     assert {"volume_fraction", "peeq", "temperature", "von_mises", "velocity_z", "stress_xz"} <= set(found.differences)
     assert set(found.differences.values()) == {0.0}
+    assert "not one bit" in handover_text(found)
 
 
-def test_a_handover_that_loses_strain_is_seen(two_runs, monkeypatch):
+def test_a_handover_that_loses_strain_is_seen(run_of_each_flight, monkeypatch, capsys):
     """Fails when changed cells are taken for new ones, or only fields of new cells are compared."""
-    from f2s_hpc.cycles import simulation
+    from f2s_hpc.cycles import insert
 
-    painted = simulation.paint_batch
+    added = insert.add_material
 
     def forgetful(state, *arguments):
-        report = painted(state, *arguments)
+        quanta = added(state, *arguments)
         state.views["peeq"][:] = np.where(state.views["mass"] > 0.0, 0.5, 0.0)
-        return report
+        return quanta
 
-    monkeypatch.setattr(simulation, "paint_batch", forgetful)
-    found = check_handover(two_runs[0])
+    monkeypatch.setattr(insert, "add_material", forgetful)
+    found = check_handover(run_of_each_flight)
     assert not found.exact
     assert found.differences["peeq"] > 0.1
     assert found.differences["temperature"] == 0.0
-    assert main(["analyse", str(two_runs[0]), "--cutoff", "30 um"]) == 1
+    assert main(["analyse", str(run_of_each_flight), "--cutoff", "30 um"]) == 1
+    assert "values changed elsewhere, by up to" in capsys.readouterr().out
+
+
+def test_a_handover_without_a_new_sphere_is_not_checked(ballistic_run, monkeypatch, capsys):
+    """Fails when ``exact`` of ``Handover`` leaves out ``self.checked``: the state is compared with its own file."""
+    from f2s_hpc.cycles.flight import Flight
+
+    monkeypatch.setattr(Flight, "take_inside", lambda self, time: None)
+    found = check_handover(ballistic_run)
+    assert (found.particles, found.new_cells, found.different, found.exact) == (0, 0, 0, False)
+    assert main(["analyse", str(ballistic_run), "--cutoff", "30 um"]) == 0
+    said = capsys.readouterr().out
+    assert "Hand-over between cycles: not checked: after cycle 1 no new sphere" in said
+    assert "not one bit" not in said
 
 
 def test_analyse_writes_what_it_prints(two_runs, tmp_path, capsys):
@@ -258,6 +289,35 @@ def test_the_papers_height_stands_beside_section_4_only(two_runs):
     assert heights.rows[0][-2] == "363.00"
     assert heights.rows[0][-1] == percent(found.heights["dense"], 363e-6)
     assert json.dumps(as_dictionary(found), allow_nan=False)
+
+
+def test_what_two_runs_do_not_share_is_shown_for_both(two_runs):
+    """Numbers in titles and names are those of each run, and groups and rows of the second alone do not vanish.
+
+    Fails when ``tables`` takes the topics, the keys or the names of the first run for those of both.
+    """
+    deposit = load_deposit(two_runs[0])
+    first, second = (measure(deposit, Settings(cutoff=cutoff)) for cutoff in (30e-6, 36e-6))
+    first = dataclasses.replace(first, porosity=None, fits=dict.fromkeys(first.fits))
+    longer = dataclasses.replace(second.rough_along, profiles=7)
+    second = dataclasses.replace(second, rough_along=longer, paper_height=363e-6)
+    second.heights["dense"] = 2.0 * first.heights["dense"]
+    found = {table.title.split()[0]: table for table in tables([("A", first), ("B", second)])}
+    assert list(found) == ["Height", "Profile", "Roughness", "Porosity", "Flattening", "State"]
+    assert re.fullmatch(r"Roughness \(.*cutoff 30 µm.*\) \[A\]; \(.*cutoff 36 µm.*\) \[B\]", found["Roughness"].title)
+    (name,) = [row[0] for row in found["Roughness"].rows if row[0].startswith("Ra, ") and "[B]" in row[0]]
+    assert re.fullmatch(r"Ra, 10 profiles along y, 72 µm long \[A\]; 7 profiles along y, 72 µm long \[B\]", name)
+    assert found["Height"].head[2:] == ["A", "B", "difference", "paper", "B off the paper"]
+    assert found["Height"].rows[0][4] == "+100.0 %"
+    assert found["Height"].rows[0][-1] == percent(second.heights["dense"], 363e-6)
+    assert all(row[2] == "-" and row[3] != "-" and row[4] in ("", "-") for row in found["Porosity"].rows)
+    # one alone: its names carry no label, and both ways round hold the same
+    assert not any("[" in row[0] for table in tables([("A", first)]) for row in table.rows)
+    other = tables([("B", second), ("A", first)])
+    assert {(t.title.split()[0], len(t.rows)) for t in other} == {(name, len(t.rows)) for name, t in found.items()}
+    # the page shows them too
+    page_text = build_page([("A", first), ("B", second)], {})
+    assert "exact, from volume fractions" in page_text
 
 
 def test_shares_differ_in_points_and_all_else_in_percent():

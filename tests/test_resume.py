@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pathlib
 import re
@@ -13,7 +14,12 @@ import threading
 import pytest
 from conftest import F2S, ROOT, f2s
 
+from f2s_hpc import mpi
+from f2s_hpc.cli import tasks
+from f2s_hpc.cli.main import main
+from f2s_hpc.config import dump_scene, parse_scene, scene_hash
 from f2s_hpc.doctor import launch_environment
+from f2s_hpc.errors import CheckpointError
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
 
@@ -193,7 +199,60 @@ def test_resume_refuses_what_would_change_the_result(never_stopped):
 
 
 def test_a_folder_without_a_checkpoint_cannot_be_resumed(tmp_path):
+    (tmp_path / "nothing").mkdir()
     done = f2s("resume", tmp_path / "nothing", cwd=tmp_path, code=3)
     assert len(done.stderr.splitlines()) == 1
     assert "nothing" in done.stderr
     assert not done.stdout
+
+
+@pytest.mark.mpi
+def test_what_is_no_folder_cannot_be_resumed(capsys, shared_path):
+    """A mistyped name is wrong input; fails if it passes for a run whose checkpoints are lost (exit code 3)."""
+    if mpi.is_root():
+        (shared_path / "file").touch()
+    mpi.barrier()
+    for name, words in (("nothing", "no such folder"), ("file", "is a file, not the folder of a run")):
+        assert main(["resume", str(shared_path / name)]) == 2
+        out, err = capsys.readouterr()
+        assert not out
+        assert len(err.splitlines()) == int(mpi.is_root())
+        assert not mpi.is_root() or err.startswith(f"{shared_path / name}: {words}")
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_resumed_run_cannot_begin_to_follow_the_origin(never_stopped, ranks):
+    """Fails if the field that the checkpoint has not is missed only when it is read (exit code 3)."""
+    done = f2s("resume", never_stopped, "--set", "output.origin=true", ranks=ranks, cwd=never_stopped.parent, code=2)
+    said = [line for line in done.stderr.splitlines() if "output.origin" in line]
+    assert len(said) == 1
+    assert "leave it out" in said[0]
+    assert "Traceback" not in done.stderr
+
+
+def saved_by_an_older_version() -> dict:
+    """Return the attributes of a checkpoint from before there was ``numerics.dust``."""
+    text = dump_scene(parse_scene(SCENE, "test"))
+    old = "\n".join(line for line in text.splitlines() if not line.startswith("dust = ")) + "\n"
+    assert old != text
+    return {"scene": old, "scene_hash": hashlib.sha256(old.encode("utf-8")).hexdigest()}
+
+
+def test_a_checkpoint_from_before_a_setting_is_taken_and_says_so():
+    """Fails if the hash is taken of the scene as this version would write it: it knows more settings."""
+    scene, notes = tasks._saved_scene(saved_by_an_older_version(), "old.h5", [])
+    assert scene == parse_scene(SCENE, "test")
+    assert len(notes) == 1
+    assert "dust = 1e-12" in notes[0]
+    now = {"scene": dump_scene(scene), "scene_hash": scene_hash(scene)}
+    assert tasks._saved_scene(now, "new.h5", ["run.wall_time=1 h"])[1] == []
+
+
+def test_a_checkpoint_whose_scene_was_edited_is_refused():
+    """Fails if the stored text is not compared with the stored hash."""
+    edited = saved_by_an_older_version()
+    edited["scene"] = edited["scene"].replace("615.0 m/s", "715.0 m/s").replace("615 m/s", "715 m/s")
+    with pytest.raises(CheckpointError, match=r"old\.h5: its scene does not match its own hash"):
+        tasks._saved_scene(edited, "old.h5", [])
+    with pytest.raises(CheckpointError, match="holds no scene"):
+        tasks._saved_scene({}, "old.h5", [])

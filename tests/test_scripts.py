@@ -97,6 +97,37 @@ def test_chain_resumes_until_complete(project):
         "run splat --out runs/c --set a=b c", "resume runs/c", "resume runs/c"]
 
 
+def lost_run(project: pathlib.Path) -> None:
+    """Leave what a node leaves that fails before the first checkpoint; stand-ins note the commands."""
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/f2s", 'echo "$*" >>calls')
+    (project / "runs/c/checkpoints").mkdir(parents=True)
+    (project / "runs/c/checkpoints/.checkpoint_cycle_0001_step_00000020.h5.partial").touch()
+
+
+def test_chain_starts_anew_after_a_node_is_lost_before_the_first_checkpoint(project):
+    """Fails if the chain calls ``f2s resume``, which has nothing to go on from, or loses what was there."""
+    lost_run(project)
+    (project / "runs/c-lost-1").mkdir()
+    done = bash(["jobs/chain.sh", "--set", "a=b"], project, OUT="runs/c", SCENE="splat")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (project / "calls").read_text().splitlines() == ["run splat --out runs/c --set a=b"]
+    assert (project / "runs/c-lost-2/checkpoints").is_dir()
+    assert "becomes runs/c-lost-2" in done.stdout
+
+
+def test_chain_moves_nothing_in_a_dry_run_and_no_run_that_is_complete(project):
+    """Fails if ``DRY_RUN=1`` moves the folder, or if a complete run without checkpoints passes for a lost one."""
+    lost_run(project)
+    done = bash(["jobs/chain.sh"], project, OUT="runs/c", SCENE="splat", DRY_RUN="1")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].split() == ["mpirun", "-n", "2", "f2s", "run", "splat", "--out", "runs/c"]
+    assert [path.name for path in (project / "runs").iterdir()] == ["c"]
+    (project / "runs/c/summary.json").write_text('{\n  "status": "complete"\n}\n')
+    assert bash(["jobs/chain.sh"], project, OUT="runs/c", SCENE="splat").returncode == 0
+    assert (project / "calls").read_text().splitlines() == ["resume runs/c"]
+
+
 def test_chain_in_slurm_goes_back_to_the_queue(project):
     write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
     write_command(project / ".venv/bin/f2s", "mkdir -p runs/c/checkpoints; touch runs/c/checkpoints/a.json; exit 75")

@@ -159,7 +159,7 @@ def test_it_wakes_when_flow_comes_near():
 def test_material_that_is_put_in_wakes_what_it_may_meet(tmp_path):
     """Spheres that land on a floor just under the surface, as in a pit: it falls below them before they are painted.
 
-    Fails when ``Simulation._land`` leaves ``wake_for`` out.
+    Fails when ``Supply.land`` leaves ``wake_for`` out.
     """
     scene = parse_scene(SCENE, "deep")
     simulation = Simulation(scene, tmp_path, make_batches(scene))
@@ -167,12 +167,12 @@ def test_material_that_is_put_in_wakes_what_it_may_meet(tmp_path):
     simulation.insert()
     state, clock, ground = simulation.state, simulation.clock, 16
     state.set_floor(ground - 1)
-    waiting = simulation.flight.count
-    simulation._land()
-    while simulation.flight.count == waiting:
+    waiting = simulation.supply.flight.count
+    simulation.supply.land()
+    while simulation.supply.flight.count == waiting:
         assert state.floor == ground - 1
         advance(state, simulation.model, clock, simulation.ledger, 60e-9)
-        simulation._land()
+        simulation.supply.land()
     assert ground - sleep.MARGIN <= state.floor < ground - 1
     assert not state.views["velocity_z"][:state.part.owned_nodes[0].start + state.floor + 1].any()
 

@@ -228,6 +228,18 @@ def test_splashes_do_not_count_as_the_particle(one_rank):
     assert traced.flattening.height[0] == pytest.approx(12e-6, rel=0.1)
 
 
+def test_a_point_beyond_a_high_side_is_outside(one_rank):
+    """On the side is inside, a quarter of a cell beyond is not, on each axis; fails if ``<=`` is taken of cells + 1."""
+    deposit = load_deposit(one_rank)
+    cloud = made_cloud([[40e-6, 50e-6, 20e-6]], [[15e-6, 15e-6, 6e-6]], [False])
+    sides = np.array(deposit.fraction.shape[::-1]) * deposit.dx
+    for number, side in enumerate(sides):
+        cloud.position[number, number] = side
+        cloud.position[3 + number, number] = side + 0.25 * deposit.dx
+        cloud.position[6 + number, number] = -0.25 * deposit.dx
+    assert trace(dataclasses.replace(deposit, tracers=cloud)).outside == 6
+
+
 def test_analyse_and_report_show_both_ways(one_rank, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["analyse", str(one_rank), "--out", str(out), "--cutoff", "30 um"]) == 0

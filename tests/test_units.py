@@ -28,7 +28,9 @@ def test_parse_gives_the_nearest_float(text, dimension, value):
     ("3 s", "length", ["this is a time", "a length is needed", '"3 um"']),
     ("25 degC", "length", ["a temperature", "a length is needed"]), ("3 umm", "length", ['"umm"', 'did you mean "um"']),
     ("3 mpa", "pressure", ['did you mean "MPa"', '"128 GPa"']), ("abc", "time", ["not a number", '"0.325 us"']),
-    ("1e999 m", "length", ["too large"]), (True, "length", ["expected a length"]), (None, "time", ["expected a time"]),
+    ("1e999 m", "length", ["too large"]), ("1e9999999 um", "length", ["too large", '"3 um"']),
+    ("-1e9999999 degC", "temperature", ["too large"]), (f"1e-{10**20} m/s", "speed", ["out of range", '"615 m/s"']),
+    (True, "length", ["expected a length"]), (None, "time", ["expected a time"]),
     ("nan m", "length", ["not a number"]), ("3 m/", "length", ["unknown unit"]),
 ])
 def test_wrong_text_says_what_would_be_right(text, dimension, words):

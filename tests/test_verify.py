@@ -10,7 +10,7 @@ import pytest
 
 from f2s_hpc import mpi
 from f2s_hpc.analysis.verification import case_table, overview_table
-from f2s_hpc.analysis.work_precision import curves
+from f2s_hpc.analysis.work_precision import _draw_bars, curves
 from f2s_hpc.cli.main import main
 from f2s_hpc.errors import InputError, UnstableStep
 from f2s_hpc.verify import suite
@@ -34,11 +34,11 @@ def finest(rows: list[dict]) -> dict[str, float]:
     return {row["quantity"]: row["error"] for row in rows}
 
 
-def check(rows: list[dict], limits: dict[str, float], unmet: tuple[tuple[str, float], ...] = ()) -> None:
-    """Check that all bars are met but those of ``unmet`` (quantity, resolution), and the finest errors ``limits``."""
+def check(rows: list[dict], limits: dict[str, float]) -> None:
+    """Check that all bars are met, and the finest errors ``limits``."""
     assert {row["quantity"] for row in rows} == set(limits)
     missed = [(row["quantity"], row["resolution"], row["error"], row["bar"], row["order"]) for row in rows
-              if row["passed"] is False and (row["quantity"], row["resolution"]) not in unmet]
+              if row["passed"] is False]
     assert not missed
     for quantity, error in finest(rows).items():
         assert error <= limits[quantity], quantity
@@ -58,14 +58,19 @@ def test_elastic_wave_along_the_diagonal_is_of_second_order():
     check(measure("elastic-wave-diagonal"), {"stress, L2": 3.5e-3, "velocity, L2": 3.5e-3})
 
 
-@pytest.mark.parametrize(("name", "plateau", "overshoot"),
-                         [("piston", 2e-4, 1e-3), ("piston-100", 1e-3, 0.015), ("piston-300", 3e-3, 0.05)])
-def test_piston_meets_the_two_wave_solution(name, plateau, overshoot):
-    """Fails when ``+ eos.gamma * eos.density * energy`` of ``_grueneisen_pressure`` is left out."""
-    check(measure(name), {
+@pytest.mark.parametrize(("name", "plateau", "late", "overshoot"), [
+    ("piston", 2e-4, 1e-3, 0.048), ("piston-100", 1e-3, 0.015, 0.039), ("piston-300", 3e-3, 0.05, 0.021)])
+def test_piston_meets_the_two_wave_solution(name, plateau, late, overshoot):
+    """Fails when ``+ eos.gamma * eos.density * energy`` of ``_grueneisen_pressure`` is left out.
+
+    And when ``_largest_stress_until`` looks at the end only: the overshoot is that of the first moments at the wall.
+    """
+    rows = measure(name)
+    check(rows, {
         "plateau stress (Pa)": plateau, "plateau velocity (m/s)": plateau, "plastic wave speed (m/s)": 4e-3,
         "precursor stress (Pa)": 4.5e-3, "precursor velocity (m/s)": 3.5e-3, "precursor wave speed (m/s)": 1.5e-3,
-        "overshoot of stress (Pa)": overshoot})
+        "overshoot of stress (Pa)": overshoot, "overshoot at half time and end (Pa)": late})
+    assert finest(rows)["overshoot of stress (Pa)"] > 0.015
 
 
 def test_two_waves_are_the_published_ones():
@@ -94,18 +99,32 @@ def test_reversed_vortex_brings_the_disc_back():
 
 @pytest.mark.slow
 def test_free_flight_changes_nothing():
-    """Fails when ``(q_low - q)`` of the remap's updates is taken at the other face.
+    """Fails when ``(q_low - q)`` of the remap's updates is taken at the other face."""
+    check(measure("free-flight"), {"velocity": 1e-9, "stress": 1e-9, "temperature": 1e-9, "PEEQ": 0.0, "mass": 1e-12,
+                                   "centroid (cells)": 0.04})
 
-    The stress of slivers of 1e-6 of a cell misses its bar at 7 cells per diameter, by a factor of two.
+
+@pytest.mark.slow
+def test_free_flight_ends_where_it_leads():
+    """Along the diagonal, the worst direction: 2 % of the way off at 5 cells per diameter, falling with order 2.
+
+    Fails when ``distance - a * start`` of ``slab_volume`` is ``distance``.
     """
-    check(measure("free-flight"), {"velocity": 1e-9, "stress": 5e-9, "temperature": 1e-9, "PEEQ": 0.0, "mass": 1e-12},
-          (("stress", 7.0),))
+    rows = measure("free-flight", "direction=1,1,-1", "distance=40", "resolutions=5,8")
+    errors = [row for row in rows if row["quantity"] == "centroid (cells)"]
+    assert [row["error"] < limit for row, limit in zip(errors, (0.42, 0.16))] == [True, True]
+    assert errors[1]["order"] > 1.8
+    assert errors[1]["passed"]
 
 
 def test_rotation_keeps_the_invariants():
-    """Fails when ``second`` of ``_sweep_fields`` becomes 0.0 (a remap of first order)."""
+    """Fails when ``second`` of ``_sweep_fields`` becomes 0.0 (a remap of first order).
+
+    The components, when stress is carried along but not turned: ``ax, ay, az`` of ``_trial_stress`` zero. They are then
+    off by 94 % at any size, while all invariants are right.
+    """
     check(measure("rotating-block"), {"von Mises stress, L1": 0.025, "third invariant, L1": 0.023, "shape, L1": 0.022,
-                                      "mass": 1e-12})
+                                      "components after an eighth of a turn, L1": 0.003, "mass": 1e-12})
 
 
 def test_simple_shear_follows_the_closed_form():
@@ -259,3 +278,19 @@ def test_curves_need_work_and_errors():
     assert curves([row(), row(resolution=16.0)]) == {}
     assert curves([row(compares=False), row(compares=False, wall_s=3.0)]) == {}
     assert curves([row(error=math.inf), fine]) == {}
+
+
+def test_a_bar_is_a_line_only_where_it_holds_for_all():
+    """Fails when the bars that are not asked for are left out of ``set(bars)``."""
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+
+    def drawn(*bars: float | None) -> list[tuple[int, str]]:
+        axes = figure.add_subplot()
+        points = [row(wall_s=1.0 + number, bar=bar) for number, bar in enumerate(bars)]
+        _draw_bars(axes, {"q": points[:2], "other": points[2:]})
+        return [(len(line.get_xdata()), line.get_marker()) for line in axes.lines]
+
+    assert drawn(0.1, 0.1, 0.1, 0.1) == [(2, "None")]
+    assert drawn(0.1, 0.1, None, None) == [(2, "_")]
+    assert drawn(None, 0.1, 0.1, 0.2) == [(3, "_")]
+    assert drawn(None, None, None, None) == []

@@ -6,6 +6,7 @@ Errors that only fall with resolution are asserted at the size run here, a littl
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -181,21 +182,50 @@ def test_speeds_are_those_of_the_series():
 def test_ge_particle_converges():
     """Width, height and PEEQ p95 approach those of the finest run at order 0.5 or better.
 
+    The height does not change any more from 8 to 12 cells, so at these sizes no order of it is known, which is said.
     Fails if the remap is of first order (``numerics.remap_order = 1``): the height is off by 5 % instead of 2 %.
     """
     found = rows("impact-ge")
     for name in ("width / D", "height / D", "PEEQ p95"):
-        assert found[name, 8.0].passed
+        assert found[name, 8.0].order >= 0.5
         assert error(found, name, 8.0) < 0.8 * error(found, name, 6.0)
     assert error(found, "height / D", 8.0) < 0.03
+    assert found["width / D: order of the fit", 12.0].passed
+    assert found["PEEQ p95: order of the fit", 12.0].passed
+    assert found["height / D: order of the fit, at the edge of its range", 12.0].passed is False
 
 
 def test_extrapolation_finds_limit_and_order():
     """Fails if the spacings are not raised to the order: ``h**order``."""
     spacings = [4.0, 3.0, 2.0, 1.0]
-    limit, order = impact.extrapolated(spacings, [1.7 - 0.3 * h**1.43 for h in spacings])
-    assert limit == pytest.approx(1.7, rel=1e-9)
-    assert order == pytest.approx(1.43, rel=1e-9)
+    fit = impact.extrapolated(spacings, [1.7 - 0.3 * h**1.43 for h in spacings])
+    assert fit.limit == pytest.approx(1.7, rel=1e-9)
+    assert fit.order == pytest.approx(1.43, rel=1e-9)
+    assert not fit.at_edge
+
+
+@pytest.mark.parametrize(("shape", "order", "at_edge", "met"), [
+    (lambda h: h, 1.0, False, True), (lambda h: h**0.6, 0.6, False, True), (lambda h: h**0.4, 0.4, False, False),
+    (math.log, 0.0, False, False), (lambda h: h**-0.5, -0.5, False, False), (lambda h: h**-3, -2.0, True, False),
+    (lambda h: h**6, 4.0, True, False), (lambda h: (h - 0.7) ** 2, 4.0, True, False)])
+def test_the_order_of_convergence_sees_what_diverges(shape, order, at_edge, met, monkeypatch):
+    """Values 1 + shape(h) at 6, 8 and 12 cells; the errors against the finest fall with all of them.
+
+    Fails when ``ORDERS`` begins at 0.01, or ``known`` is the order even at an edge.
+    """
+    def made(_, level, __):
+        value = 1.0 + 0.1 * shape(6.0 / level)
+        return SimpleNamespace(dx=30e-6 / level, width=30e-6 * value, height=30e-6 * value, peeq_p95=value,
+                               cost={"steps": 1, "cell_steps": 1, "wall_s": 1.0})
+
+    monkeypatch.setattr(impact, "splat", made)
+    found = rows("impact-ge")
+    for name in ("width / D", "height / D", "PEEQ p95"):
+        (row,) = [row for (quantity, _), row in found.items() if quantity.startswith(f"{name}: order of the fit")]
+        assert row.measured.value == pytest.approx(order, abs=1e-9)
+        assert row.passed is met
+        assert row.measured.quantity.endswith("at the edge of its range") is at_edge
+        assert ((f"{name}: limit of the fit", 12.0) in found) is (order > 0.0 and not at_edge)
 
 
 # --- energy -----------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ class Roughness:
 @dataclass(frozen=True)
 class ArealRoughness:
     """Roughness of a surface (m): ``Sa``, ``Sq`` after the Gaussian filter of ``cutoff``; without it, about the mean
-    plane, ``Sa_unfiltered``, ``Sq_unfiltered`` and the height between lowest and highest point ``Sz_unfiltered``."""
+    level, ``Sa_unfiltered``, ``Sq_unfiltered`` and the height between lowest and highest point ``Sz_unfiltered``."""
 
     cutoff: float
     Sa: float

@@ -31,10 +31,11 @@ def curves(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
 
 
 def draw_case(rows: Rows, path: pathlib.Path, title: str, subtitle: str) -> bool:
-    """Draw error against wall time of one case, a curve per quantity that compares; PNG at ``path``.
+    """Draw error against wall time of one case, a curve per quantity that compares (the first eight); PNG at ``path``.
 
-    ``rows``: mappings with quantity, resolution, error, bar, wall_s, compares. Points carry their cells; a bar
-    stands as a dotted line in the colour of its curve. Returns False, and writes nothing, if no quantity makes a curve.
+    ``rows``: mappings with quantity, resolution, error, bar, wall_s, compares. The points of the highest curve carry
+    their cells; bars stand as a dotted line or as dashes (:func:`_draw_bars`). Returns False, and writes nothing, if no
+    quantity makes a curve.
     """
     lines = curves(rows)
     if not lines:
@@ -93,7 +94,7 @@ def _figure(size: tuple[float, float]) -> Any:
 
 
 def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool) -> None:
-    """Draw curves and bars; ``marks``: write the cells at the points of the first and the lowest curve."""
+    """Draw curves and bars; ``marks``: write the cells at the points of the curve that ends highest."""
     shown = dict(list(lines.items())[:_MOST_CURVES])
     for number, (quantity, points) in enumerate(shown.items()):
         walls, errors = [p["wall_s"] for p in points], [p["error"] for p in points]
@@ -110,13 +111,14 @@ def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool) 
 
 
 def _draw_bars(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]]) -> None:
-    """Draw the bars: a dotted line where one holds for all, else a dash above or below each point it is asked of."""
+    """Draw the bars: a dotted line where one holds for every point shown, else a dash at each point it is asked of."""
+    bars = [p["bar"] for points in lines.values() for p in points]
     asked = [(p["wall_s"], p["bar"]) for points in lines.values() for p in points if p["bar"]]
     if not asked:
         return
     style = {"color": _INK, "linewidth": 1.0, "label": "bar", "zorder": 2}
-    if len({bar for _, bar in asked}) == 1:
-        axes.axhline(asked[0][1], linestyle=(0, (1, 2)), **style)
+    if len(set(bars)) == 1:
+        axes.axhline(bars[0], linestyle=(0, (1, 2)), **style)
     else:
         axes.loglog(*zip(*asked), linestyle="none", marker="_", markersize=16, markeredgewidth=1.2, **style)
 

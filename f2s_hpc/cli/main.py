@@ -5,13 +5,34 @@ from __future__ import annotations
 import argparse
 import pathlib
 import sys
+from typing import NoReturn, TextIO
 
 from f2s_hpc.cli import measuring
 from f2s_hpc.errors import F2SError, InputError
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, and that speaks on rank 0 only."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(InputError.exit_code, f"{self.prog}: {message}; '{self.prog} --help' tells what is possible\n")
+
+    def _print_message(self, message: str, file: TextIO | None = None) -> None:
+        if _speaks():
+            super()._print_message(message, file)
+
+
+def _speaks() -> bool:
+    """Tell whether this is rank 0; true where there is no MPI, as ``f2s doctor`` must be able to say."""
+    try:
+        from f2s_hpc import mpi
+    except (ImportError, OSError, RuntimeError):
+        return True
+    return mpi.is_root()
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="f2s", description="Simulate cold-spray deposition: batches of particles hit a substrate and deform.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -43,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("resume", "continue a run from its newest valid checkpoint, on any number of ranks")
     sub.add_argument("folder", metavar="DIR")
     sub.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
-                     help="replace a value of the run, output or numerics section")
+                     help="replace a value of the run or output section")
     sub = command("particles", "write the batches of a scene as CSV files")
     scene_arguments(sub)
     sub.add_argument("--out", metavar="DIR", required=True)

@@ -8,7 +8,7 @@ import pathlib
 
 from f2s_hpc import mpi
 from f2s_hpc.analysis.table import format_table
-from f2s_hpc.config import describe, load_scene, scene_hash
+from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.output import PICTURE
@@ -18,6 +18,7 @@ from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
+from f2s_hpc.io.manifest import text_digest
 from f2s_hpc.particles.batch import BatchPlan, clipped_volume, make_batches, write_csv
 from f2s_hpc.units import pretty_bytes
 from f2s_hpc.workload import memory
@@ -99,18 +100,25 @@ def decomposition_fits(scene: Scene) -> None:
 
 
 def resume(folder: str, overrides: list[str]) -> int:
-    """Continue the run in ``folder`` from its newest valid checkpoint; return the exit code."""
+    """Continue the run in ``folder`` from its newest valid checkpoint; return the exit code.
+
+    Raises ``InputError`` where there is no such folder, or for a setting that can not change on the way;
+    ``CheckpointError`` where no checkpoint is valid.
+    """
     for text in overrides:
         if text.split(".")[0] not in ("run", "output"):
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections')
+    mpi.run_together(_check_folder, folder)
     path, skipped = checkpoint.newest_valid_checkpoint(pathlib.Path(folder) / layout.CHECKPOINTS)
     for message in skipped:
         _say(message)
     attributes = mpi.run_together(_checkpoint_attributes, path)
-    scene = mpi.run_together(_saved_scene, attributes, str(path), overrides)
+    scene, notes = mpi.run_together(_saved_scene, attributes, str(path), overrides)
     decomposition_fits(scene)
     simulation = Simulation(scene, folder)
     simulation.resume(path)
+    for note in notes:
+        _say(f"note: {note}")
     clock = simulation.clock
     if simulation.cycle == scene.cycles.count:
         _say(f"{path}: all {scene.cycles.count} cycles are done, nothing is left to run")
@@ -120,15 +128,36 @@ def resume(folder: str, overrides: list[str]) -> int:
     return _finish(simulation, folder)
 
 
+def _check_folder(folder: str) -> None:
+    path = pathlib.Path(folder)
+    if not path.is_dir():
+        raise InputError(f"{folder}: " + ("is a file, not the folder of a run" if path.exists() else "no such folder")
+                         + "; name the folder that 'f2s run' has written")
+
+
 def _checkpoint_attributes(path: os.PathLike) -> dict:
     return runs.open_checkpoint_serial(path, names=[])[1]
 
 
-def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> Scene:
-    scene = parse_scene(attributes["scene"], source)
-    if scene_hash(scene) != attributes["scene_hash"]:
+def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> tuple[Scene, list[str]]:
+    """Return the scene that a checkpoint holds, with ``overrides``, and notes on what is new in it."""
+    text = attributes.get("scene")
+    if not isinstance(text, str):
+        raise CheckpointError(f"{source}: holds no scene, so it is not the checkpoint of a run")
+    # of the text itself: an older version wrote fewer settings than this one would
+    if text_digest(text) != attributes.get("scene_hash"):
         raise CheckpointError(f"{source}: its scene does not match its own hash")
-    return parse_scene(attributes["scene"], source, overrides) if overrides else scene
+    scene = parse_scene(text, source)
+    saved = text.splitlines()
+    new = [line for line in dump_scene(scene).splitlines() if line not in saved]
+    notes = [f"{source}: saved by another version; its scene as read now differs in {', '.join(new)}"] if new else []
+    if not overrides:
+        return scene, notes
+    changed = parse_scene(text, source, overrides)
+    if changed.output.origin and not scene.output.origin:
+        raise InputError("--set output.origin: the particles' share must be followed from the start, and this run "
+                         "began without; leave it out")
+    return changed, notes
 
 
 def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
@@ -148,37 +177,58 @@ def write_particles(scene: Scene, out: str) -> int:
     speed over x (figure 10 of Ge et al. 2026).
     """
     plan = mpi.run_together(make_batches, scene)
+    folder = pathlib.Path(out)
 
     def write() -> list[str]:
-        folder = pathlib.Path(out)
-        if folder.exists() and any(folder.iterdir()):
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder}: is a file; name a new folder with --out")
+        if folder.is_dir() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty; name a new folder with --out")
+        new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        lines = []
-        x, y, z = scene.domain.extents
-        for number, batch in enumerate(plan.batches, start=1):
-            path = folder / f"batch-{number:02d}.csv"
-            write_csv(path, batch)
-            volume = clipped_volume(batch, x, y, z)
-            lines.append(f"{path}: {batch.count} spheres, {1e6 * volume / (x * y):.2f} um of dense height")
-        from f2s_hpc.analysis.stream import draw_batches  # (scipy.stats: 30 MB that a run has no use for)
+        try:
+            return _written_batches(scene, plan, folder)
+        except Exception:
+            for path in folder.iterdir():  # all of it is ours: the folder was empty
+                path.unlink(missing_ok=True)
+            if new:
+                folder.rmdir()
+            raise
 
-        draw_batches(plan.batches, scene.domain.size[0], scene.particles.speed, folder / BATCH_PICTURE)
-        return [*lines, f"picture {folder / BATCH_PICTURE}"]
-
-    lines = mpi.run_together(write)
+    lines = layout.attempt_on_root(write, f"{folder}: cannot be written", InputError)
     for line in [*lines, *(f"note: {m}" for m in plan.messages),
                  "order of batches over the cycles: " + " ".join(str(b + 1) for b in plan.order)]:
         _say(line)
     return 0
 
 
+def _written_batches(scene: Scene, plan: BatchPlan, folder: pathlib.Path) -> list[str]:
+    """Write the batches and their picture into ``folder``; return a line on each file."""
+    lines = []
+    x, y, z = scene.domain.extents
+    for number, batch in enumerate(plan.batches, start=1):
+        path = folder / f"batch-{number:02d}.csv"
+        write_csv(path, batch)
+        volume = clipped_volume(batch, x, y, z)
+        lines.append(f"{path}: {batch.count} spheres, {1e6 * volume / (x * y):.2f} um of dense height")
+    from f2s_hpc.analysis.stream import draw_batches  # (scipy.stats: 30 MB that a run has no use for)
+
+    draw_batches(plan.batches, scene.domain.size[0], scene.particles.speed, folder / BATCH_PICTURE)
+    return [*lines, f"picture {folder / BATCH_PICTURE}"]
+
+
 def inspect(folder: str) -> int:
-    """Print the cycle table and the status of a run; rank 0 only."""
-    summary = mpi.run_together(runs.read_summary, folder)
-    rows = mpi.run_together(runs.read_cycle_table, folder)
-    _say(f"{summary['scene']}: {summary['status']}, {summary['particles']} particles, {summary['ranks']} ranks")
-    _say(format_table(rows))
+    """Print the cycle table and the status of a run; rank 0 only. Raises ``InputError`` where there is no run."""
+    def read() -> str:
+        summary = runs.read_summary(folder)
+        lacking = [key for key in ("scene", "status", "particles", "ranks") if key not in summary]
+        if lacking:
+            raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_JSON}: lacks {', '.join(lacking)}; "
+                             f"is {folder} the folder of a run?")
+        return (f"{summary['scene']}: {summary['status']}, {summary['particles']} particles, {summary['ranks']} ranks\n"
+                + format_table(runs.read_cycle_table(folder)))
+
+    _say(mpi.run_together(read))
     return 0
 
 

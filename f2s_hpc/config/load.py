@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import importlib.resources
+import math
 import os
 import pathlib
 import tomllib
@@ -13,12 +14,15 @@ from pydantic import ValidationError
 
 from f2s_hpc.config.messages import did_you_mean, one_line, origin
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.config.sections import length_text
 from f2s_hpc.config.stream import KEY, take_stream
 from f2s_hpc.errors import InputError
 from f2s_hpc.materials import library
 
 CUSTOM = "custom"
-_SOURCES = {"files": ("spheres", "count", "particles"), "spheres": ("files", "count", "particles")}
+_GENERATED = ("count", "particles", "distribution", "jet_width")
+"""Keys of batches that say what to generate; a jet's axis counts for the speed law too."""
+_SOURCES = {"files": ("spheres", *_GENERATED), "spheres": ("files", *_GENERATED)}
 
 
 def scene_names() -> tuple[str, ...]:
@@ -40,20 +44,24 @@ def load_scene(name_or_path: str | os.PathLike, overrides: Sequence[str] = ()) -
 
     ``overrides`` are ``key.path=value`` texts; a value is read as TOML if that works, else as plain
     text. An override that gives ``batches.files`` or ``batches.spheres`` replaces the scene's other
-    sources of particles. ``particles.stream`` names a file of ``f2s stream --json``: its jet width and speed law stand
-    in the result; keys beside it in the scene, or in ``overrides``, win over those of the file. Paths of files are
-    relative to the TOML file, and for built-in scenes and overrides to the current directory; they are absolute in the
-    result.
+    sources of particles, and ``batches.distribution="uniform"`` its jet width. ``particles.stream`` names a
+    file of ``f2s stream --json``: its jet width and speed law stand in the result; keys beside it in the scene, or in
+    ``overrides``, win over those of the file. Paths of files are relative to the TOML file, and for built-in scenes and
+    overrides to the current directory; they are absolute in the result. A setting that would have no effect is refused.
 
     Raises InputError, one line that names the file or ``--set key``, the key and what would be right.
     """
     raw, source, folder = _read(os.fspath(name_or_path))
-    keys = [_override(raw, text) for text in overrides]
+    keys = _overridden(raw, overrides)
     _drop_replaced_sources(raw, keys)
     take_stream(raw, pathlib.Path.cwd() if KEY in keys else folder, keys)
     _add_library_entry(raw, source, keys)
     _resolve_files(raw, source, folder, keys)
-    return _validated(raw, source, keys)
+    scene = _validated(raw, source, keys)
+    # (only here: scenes of older checkpoints must still be read)
+    _refuse_low_box(scene, source, keys)
+    _refuse_ignored(scene, source, keys)
+    return scene
 
 
 def parse_scene(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
@@ -63,7 +71,7 @@ def parse_scene(text: str, source: str, overrides: Sequence[str] = ()) -> Scene:
     may be read back on another machine or after they were moved.
     """
     raw = _parse_toml(text, source)
-    keys = [_override(raw, override) for override in overrides]
+    keys = _overridden(raw, overrides)
     take_stream(raw, pathlib.Path.cwd(), keys)
     _add_library_entry(raw, source, keys)
     return _validated(raw, source, keys)
@@ -101,6 +109,51 @@ def _parse_toml(text: str, source: str) -> dict:
         raise InputError(f'{source}: not valid TOML: {error}; values with a unit need quotes, as in "3 um"') from None
 
 
+def _refuse_low_box(scene: Scene, source: str, keys: Sequence[str]) -> None:
+    """Raise where the box, rounded to whole cells, is too low for substrate and particle layer above each other."""
+    domain = scene.domain
+    needed = domain.substrate_height + domain.particle_layer_height
+    height = domain.extents[2]
+    if needed <= height * (1.0 + 1e-9):
+        return
+    least = math.ceil(needed / domain.cell_size * (1.0 - 1e-9)) * domain.cell_size
+    key = next((k for k in ("domain.cell_size", "domain.substrate_height", "domain.size", "domain")
+                if k in keys), "domain.particle_layer_height")
+    raise InputError(f"{origin(key, source, keys)}: domain.particle_layer_height does not fit: the box is "
+                     f"{length_text(height)} high in whole cells, less than substrate and layer together "
+                     f"({length_text(needed)}); domain.size[2] of {length_text(least)} makes room")
+
+
+def _refuse_ignored(scene: Scene, source: str, keys: Sequence[str]) -> None:
+    """Raise for settings of the batches that the source of their particles, or their distribution, leaves no use."""
+    batches = scene.batches
+    given = {"files": "batches.files are", "spheres": "batches.spheres are"}.get(batches.source)
+    counted = ("particles",) if batches.source == "files" and scene.scheme == "standard" else ("count", "particles")
+    for name in counted if given else ():
+        if getattr(batches, name):
+            key = f"batches.{name}"
+            raise InputError(f"{origin(key, source, keys)}: {key} = {getattr(batches, name)} has no effect where "
+                             f"{given} given; leave it out")
+    if given and batches.distribution != "uniform":
+        raise InputError(f'{origin("batches.distribution", source, keys)}: batches.distribution = '
+                         f'"{batches.distribution}" has no effect where {given} given; leave it and jet_width out')
+    if batches.jet_width is not None and batches.distribution == "uniform":
+        raise InputError(f"{origin('batches.jet_width', source, keys)}: batches.jet_width has no effect on a uniform "
+                         'distribution; leave it out, or set batches.distribution = "sech"')
+
+
+def _overridden(raw: dict, overrides: Sequence[str]) -> list[str]:
+    """Put the values of ``overrides`` into ``raw`` and return their keys; none may undo another that came before."""
+    keys = []
+    for text in overrides:
+        key = _override(raw, text)
+        undone = next((name for name in keys if name.startswith(f"{key}.")), None)
+        if undone is not None:
+            raise InputError(f"--set {key}: replaces the whole section, and --set {undone} with it; put it first")
+        keys.append(key)
+    return keys
+
+
 def _override(raw: dict, text: str) -> str:
     """Put the value of ``key.path=value`` into ``raw`` and return its key."""
     key, equals, value = (part.strip() for part in text.partition("="))
@@ -129,10 +182,12 @@ def _drop_replaced_sources(raw: dict, keys: Sequence[str]) -> None:
     if not isinstance(batches, dict):
         return
     for name, others in _SOURCES.items():
-        if f"batches.{name}" in keys and batches[name]:
+        if f"batches.{name}" in keys and batches.get(name):
             for other in others:
                 if f"batches.{other}" not in keys:
                     batches.pop(other, None)
+    if "batches.distribution" in keys and "batches.jet_width" not in keys and batches.get("distribution") == "uniform":
+        batches.pop("jet_width", None)
 
 
 def _add_library_entry(raw: dict, source: str, keys: Sequence[str]) -> None:

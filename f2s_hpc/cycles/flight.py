@@ -12,12 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.cycles.insert import OVERFILL
+from f2s_hpc.cycles.insert import OVERFILL, shareable_volume
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.kernels import paint
 from f2s_hpc.particles.batch import Batch, clipped_volume, join
 from f2s_hpc.particles.meeting import REACH, waits
+from f2s_hpc.particles.packing import settle_in_order
 from f2s_hpc.state import State
 
 LOOK = 2
@@ -72,8 +73,8 @@ class Flight:
     def launch(self, state: State, batch: Batch, velocity: tuple[float, float, float], time: float) -> int:
         """Let a batch (z from the bottom of the box, m) fly from ``time`` (s) on; return how many had to start higher.
 
-        A sphere that would start inside material or inside another in flight starts as much higher as frees it.
-        Collective.
+        A sphere that would start inside material or inside another in flight starts as much higher as frees it; of
+        two in the batch that overlap, the later one does. Collective.
         """
         speeds = np.tile(velocity, (batch.count, 1)) if batch.velocity is None else batch.velocity
         flying = self.at(time)
@@ -87,17 +88,20 @@ class Flight:
     def _free_places(self, state: State, batch: Batch, flying: Batch) -> tuple[Batch, int]:
         batch = batch.chosen(slice(None))
         raised = np.zeros(batch.count, dtype=np.bool_)
-        waiting = np.ones(batch.count, dtype=np.bool_)
-        while waiting.any():
+        settled = np.zeros(batch.count, dtype=np.bool_)
+        shareable = shareable_volume(self.dx)
+        while not settled.all():
+            waiting = ~settled
             overlap = np.zeros(batch.count)
             paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, state.part.offset, self.dx,
                                   state.owned_window(), state.views["mass"], overlap)
             hit = mpi.maximum(overlap) > 0.0
             paint.spheres_meet(batch.x, batch.y, batch.z, batch.r, waiting & ~hit, flying.x, flying.y, flying.z,
                                flying.r, hit)
+            settle_in_order(batch.x, batch.y, batch.z, batch.r, shareable, settled, hit)
+            shareable = 0.0  # what is raised is raised until it is free
             batch.z[hit] += CLEARANCE * self.dx
             raised |= hit
-            waiting = hit
         return batch, int(raised.sum())
 
     def arrivals(self, state: State, time: float, dt: float) -> tuple[Batch, tuple[float, float, float]] | None:
@@ -129,12 +133,14 @@ class Flight:
         if not meets.any():
             return None
         self._make_room(state, now, meets)
-        keep = ~meets
-        arrived = now.chosen(meets)
+        return self._take(now, meets)
+
+    def _take(self, now: Batch, chosen: np.ndarray) -> tuple[Batch, tuple[float, float, float]]:
+        keep, taken = ~chosen, now.chosen(chosen)
         self.spheres = Batch(*self.spheres.arrays[:4]).chosen(keep)
         self.velocity, self.start, self.contact = self.velocity[keep], self.start[keep], self.contact[keep]
-        same = (arrived.velocity == arrived.velocity[0]).all()
-        return Batch(*arrived.arrays[:4], None if same else arrived.velocity), tuple(arrived.velocity[0])
+        same = (taken.velocity == taken.velocity[0]).all()
+        return Batch(*taken.arrays[:4], None if same else taken.velocity), tuple(taken.velocity[0])
 
     def _overlapping(self, now: Batch, chosen: np.ndarray) -> np.ndarray:
         """Hold back and raise each chosen sphere that has run into a lower one: those do that meet above the box."""
@@ -216,3 +222,12 @@ class Flight:
         self.start = np.array(saved["start"], dtype=float)
         self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)
         self.calls, self.raised = saved["calls"], saved.get("raised", 0)
+
+    def take_inside(self, time: float) -> tuple[Batch, tuple[float, float, float]] | None:
+        """Take the spheres that lie inside the box at ``time`` (s) out of the flight, where they are.
+
+        Returns what :meth:`arrivals` does. For checks: a run takes only those that are about to meet something.
+        """
+        now = self.at(time)
+        inside = now.z + now.r <= self.extents[2]
+        return self._take(now, inside) if inside.any() else None

@@ -1,8 +1,9 @@
 """Painting material into the box: the substrate, and batches of spheres into the particle layer.
 
-A batch may meet material still in the layer (stragglers of the last batch, splashed fragments). A
-sphere that would overfill a cell is moved by as little as frees it, else kept back for the next
-batch: mass is neither created nor lost, and the report says how many were moved and how far.
+A batch may meet material still in the layer (stragglers of the last batch, splashed fragments), and spheres that
+waited may meet those of the batch they are joined to. A sphere that would overfill a cell is moved by as little as
+frees it, else kept back for the next batch: mass is neither created nor lost, and the report says how many were moved
+and how far. Of spheres that overlap each other the later one in the list is moved.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.pages import sparse_zeros
 from f2s_hpc.kernels import momentum, paint, remap
 from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.packing import settle_in_order
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -45,7 +47,7 @@ class InsertReport:
         parts = []
         if self.moved:
             parts.append(f"{self.moved} spheres moved by up to {self.largest_move * 1e6:.2f} um to clear material "
-                         "still in the layer")
+                         "still in the layer or other spheres")
         if self.deferred is not None and self.deferred.count:
             parts.append(f"{self.deferred.count} spheres found no free place and wait for the next batch")
         return "; ".join(parts)
@@ -80,6 +82,11 @@ def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
     return mpi.maximum(overlap)
 
 
+def shareable_volume(dx: float) -> float:
+    """Return the volume (m3) that a sphere may share with others in its place: what a cell may be overfilled by."""
+    return (OVERFILL - 1.0) * dx**3
+
+
 def _inside(place: float, wanted: float, radius: float, width: float) -> float:
     """Return ``place`` kept off the walls; a sphere that a wall cuts stays where it was wanted, so its volume stays."""
     if not radius <= wanted <= width - radius:
@@ -105,8 +112,8 @@ def _proposal(batch: Batch, index: int, attempt: int, bounds: tuple[float, float
     return None if (distance < batch.r + r).any() else (x, y, z)
 
 
-def _clear_of_material(state: State, batch: Batch, layer: tuple[float, float], seed: int) -> tuple[Batch, np.ndarray]:
-    """Move spheres of ``batch`` (z from the bottom of the box) out of existing material.
+def _free_places(state: State, batch: Batch, layer: tuple[float, float], seed: int) -> tuple[Batch, np.ndarray]:
+    """Move spheres of ``batch`` (z from the bottom of the box) out of existing material and out of each other.
 
     Every rank does the same with the same random numbers; only the overlap test is collective.
     Returns the batch with its new places, and which spheres still overlap.
@@ -117,6 +124,8 @@ def _clear_of_material(state: State, batch: Batch, layer: tuple[float, float], s
     wanted = batch
     batch = batch.chosen(slice(None))
     overlapping = _overlaps(state, batch, np.ones(batch.count, dtype=np.bool_)) > OVERFILL
+    # what material moves anyway makes no other sphere move
+    settle_in_order(batch.x, batch.y, batch.z, batch.r, shareable_volume(dx), np.zeros_like(overlapping), overlapping)
     for attempt in range(ROUNDS):
         if not overlapping.any():
             break
@@ -143,7 +152,7 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
     report = InsertReport(spheres=batch.count)
     asked = batch.raised(layer_bottom)
     layer = (layer_bottom, state.part.box.extents[2])
-    placed, blocked = _clear_of_material(state, asked, layer, seed)
+    placed, blocked = _free_places(state, asked, layer, seed)
     moves = np.sqrt((placed.x - asked.x) ** 2 + (placed.y - asked.y) ** 2 + (placed.z - asked.z) ** 2)[~blocked]
     report.moved, report.largest_move = int((moves > 0.0).sum()), float(moves.max(initial=0.0))
     if blocked.any():

@@ -55,7 +55,11 @@ def percentiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ..
     """Return weighted percentiles over all ranks, from an exact integer histogram; None without material.
 
     ``values``, ``weights``: this rank's cells, 1-D; ``shares`` in 0..1. Resolution: range / 8192, linear inside a bin.
+    What is not finite does not count, so that a run that failed still tells where it was.
     """
+    finite = np.isfinite(values) & np.isfinite(weights)
+    if not finite.all():
+        values, weights = values[finite], weights[finite]
     if not mpi.total(np.int64(values.size)):
         return [None] * len(shares)
     low = float(mpi.minimum(values.min() if values.size else np.inf))

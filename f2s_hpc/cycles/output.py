@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import os
 import pathlib
 import platform
+import re
+import shutil
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +20,7 @@ from f2s_hpc import mpi
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
-from f2s_hpc.errors import InputError
+from f2s_hpc.errors import F2SError, InputError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint, layout, runs, tracers, vtkhdf
 from f2s_hpc.io.layout import Block
@@ -27,7 +31,9 @@ from f2s_hpc.state import State
 
 PICTURE = "deposit.png"
 SCENE_FILE = "scene.toml"
-BATCHES = "batches"
+BATCHES, ORDER = "batches", "order.json"
+BATCH_NAME = re.compile(r"batch-(\d+)\.csv")
+PICTURE_FIELDS = ("volume_fraction", "peeq", "temperature", "speed")
 
 
 def _block(state: State, name: str, data: np.ndarray, on_nodes: bool) -> Block:
@@ -48,38 +54,61 @@ class RunFolder:
                 "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
 
     def write_input(self, plan: BatchPlan) -> None:
-        """Write the resolved scene and the batches into the folder: all that a resumed run needs to know."""
-        if mpi.is_root():
-            (self.path / SCENE_FILE).write_text(dump_scene(self.scene), encoding="utf-8")
+        """Write the resolved scene and the batches into the folder: all that a resumed run needs to know.
+
+        Raises ``InputError`` on all ranks, and takes the new folder away again, when they cannot be written.
+        """
+        def write() -> None:
+            layout.write_text_file(self.path / SCENE_FILE, dump_scene(self.scene))
             folder = self.path / BATCHES
             folder.mkdir()
-            for number, batch in enumerate(plan.batches):
-                write_csv(folder / f"batch-{number + 1:03d}.csv", batch)
-            (folder / "order.json").write_text(json.dumps({"order": plan.order}) + "\n", encoding="utf-8")
-        mpi.barrier()
+            names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
+            for name, batch in zip(names, plan.batches):
+                write_csv(folder / name, batch)
+            layout.write_text_file(folder / ORDER, json.dumps({"order": plan.order, "batches": names}) + "\n")
+
+        try:
+            layout.attempt_on_root(write, f"{self.path}: its scene and batches cannot be written", InputError)
+        except InputError:
+            if mpi.is_root():
+                self._take_away()
+            mpi.barrier()
+            raise
+
+    def _take_away(self) -> None:
+        """Remove what a run that could not begin has made: else its folder would pass for one that holds a run."""
+        shutil.rmtree(self.path / BATCHES, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            (self.path / SCENE_FILE).unlink(missing_ok=True)
+        for folder in (self.path / layout.CHECKPOINTS, self.path / layout.FRAMES, self.path):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
     def read_plan(self) -> BatchPlan:
         """Return the batches that :meth:`write_input` saved; raises ``InputError`` on all ranks."""
         def read() -> BatchPlan:
             folder = self.path / BATCHES
-            batches = [read_csv(path) for path in sorted(folder.glob("batch-*.csv"))]
-            try:
-                order = json.loads((folder / "order.json").read_text(encoding="utf-8"))["order"]
-            except (OSError, ValueError, KeyError) as error:
-                raise InputError(f"{folder / 'order.json'}: {error}; it belongs to the run folder") from None
-            if not batches or max(order) >= len(batches):
-                raise InputError(f"{folder}: holds {len(batches)} batches, order.json asks for {max(order) + 1}")
-            return BatchPlan(batches, order)
+            order, names = _read_order(folder)
+            for name in names:
+                if not (folder / name).is_file():
+                    raise InputError(f"{folder / name}: no such file; it belongs to the run folder, put it back")
+            if len(order) < self.scene.cycles.count:
+                raise InputError(f"{folder / ORDER}: names the batches of {len(order)} cycles, but the run has "
+                                 f"{self.scene.cycles.count}")
+            if max(order) >= len(names):
+                raise InputError(f"{folder}: holds {len(names)} batches, {ORDER} asks for {max(order) + 1}")
+            return BatchPlan([read_csv(folder / name) for name in names], order)
 
-        return mpi.run_together(read)
+        return layout.attempt_on_root(read, f"{self.path / BATCHES}: cannot be read", InputError)
 
-    def write_frame(self, state: State, model: Model, number: int, time: float, cycle: int) -> list[str]:
+    def write_frame(self, state: State, model: Model, number: int, time: float, cycle: int,
+                    ends_cycle: bool) -> list[str]:
         """Write a frame of the scene's output fields, and renew the index; return lines on frames left out of it."""
         blocks = [_block(state, name, measure.derived_field(state, model, name), measure.location(name) != CELL)
                   for name in self.scene.output.fields]
         folder = self.path / layout.FRAMES
         vtkhdf.write_frame(folder, number, time, blocks, (0.0, 0.0, 0.0), (model.dx,) * 3,
-                           self.provenance() | {"cycle": cycle})
+                           self.provenance() | {"cycle": cycle, "ends_cycle": ends_cycle})
         return vtkhdf.update_index(folder)
 
     def write_tracers(self, cloud: TracerCloud, cycle: int) -> None:
@@ -96,39 +125,82 @@ class RunFolder:
         return path
 
     def write_tables(self, rows: list[dict], summary: dict) -> None:
-        """Write ``summary.csv`` (a row per cycle) and ``summary.json``; rank 0 only, each replaced whole."""
-        if mpi.is_root():
+        """Write ``summary.csv`` (a row per cycle) and ``summary.json``, each replaced whole.
+
+        When they cannot be written: before the end, and after a failure that is to be told itself, that is a printed
+        note (the checkpoint holds the rows, and the next table all of them); at the end ``F2SError`` on all ranks.
+        """
+        def write() -> None:
             if rows:
                 flat = [_flat(row) for row in rows]
-                partial = self.path / f".{layout.SUMMARY_CSV}.partial"
-                with partial.open("w", newline="", encoding="utf-8") as file:
-                    writer = csv.DictWriter(file, fieldnames=list(flat[-1]))
-                    writer.writeheader()
-                    writer.writerows(flat)
-                partial.replace(self.path / layout.SUMMARY_CSV)
-            partial = self.path / f".{layout.SUMMARY_JSON}.partial"
-            partial.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-            partial.replace(self.path / layout.SUMMARY_JSON)
-        mpi.barrier()
+                text = io.StringIO(newline="")
+                writer = csv.DictWriter(text, fieldnames=list(flat[-1]))
+                writer.writeheader()
+                writer.writerows(flat)
+                layout.write_text_file(self.path / layout.SUMMARY_CSV, text.getvalue())
+            layout.write_text_file(self.path / layout.SUMMARY_JSON, json.dumps(summary, indent=2) + "\n")
+
+        try:
+            layout.attempt_on_root(write, f"{self.path}: the cycle table cannot be written")
+        except F2SError as error:
+            if summary["status"] not in ("running", "failed"):
+                raise
+            _note(error)
 
     def draw(self, summary: dict) -> pathlib.Path | None:
-        """Draw the picture from the newest frame that holds what it needs; rank 0 only."""
-        path = None
-        if mpi.is_root() and self.scene.output.picture:
-            from f2s_hpc.analysis import picture  # (what it loads should not lie beside the fields of a run)
+        """Draw the picture from the newest frame; return its path, None where the scene asks for none or lacks fields.
 
-            numbers = runs.list_frames(self.path)
-            needed = ["volume_fraction", "peeq", "temperature", "speed"]
-            if numbers and set(needed) <= set(self.scene.output.fields):
-                fields, _ = runs.open_frame(self.path, numbers[-1], needed)
-                path = self.path / PICTURE
-                height = 1e6 * summary["dense_height_m"]
-                picture.draw(fields, self.scene.domain.cell_size, self.scene.domain.substrate_height, self.scene.title,
-                             f"{summary['particles']} particles, {1e6 * summary['time_s']:.2f} us, dense height "
-                             f"{height:.1f} um, cells of {1e6 * self.scene.domain.cell_size:g} um", path,
-                             slow_speed=measure.SLOW * self.scene.top_speed)
-        mpi.barrier()
+        What keeps a picture from being made is a printed note: the run itself has its results.
+        """
+        if not self.scene.output.picture or not set(PICTURE_FIELDS) <= set(self.scene.output.fields):
+            return None
+        path = self.path / PICTURE
+        try:
+            layout.attempt_on_root(lambda: self._draw(summary, path), f"{path}: cannot be drawn")
+        except F2SError as error:
+            _note(f"no picture; {error}")
         return path
+
+    def _draw(self, summary: dict, path: pathlib.Path) -> None:
+        from f2s_hpc.analysis import picture  # (what it loads should not lie beside the fields of a run)
+
+        numbers = runs.list_frames(self.path)
+        if not numbers:
+            raise F2SError(f"{self.path / layout.FRAMES} holds no frame")
+        # (an older run may have been resumed with other fields than its frames have)
+        fields, _ = runs.open_frame(self.path, numbers[-1], PICTURE_FIELDS)
+        domain = self.scene.domain
+        picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
+                     f"{summary['particles']} particles, {1e6 * summary['time_s']:.2f} us, dense height "
+                     f"{1e6 * summary['dense_height_m']:.1f} um, cells of {1e6 * domain.cell_size:g} um", path,
+                     slow_speed=measure.SLOW * self.scene.top_speed)
+
+
+def _note(text: object) -> None:
+    if mpi.is_root():
+        print(f"note: {text}", flush=True)
+
+
+def _read_order(folder: pathlib.Path) -> tuple[list[int], list[str]]:
+    """Return the batch of each cycle and the names of the batches' files, in their order; raises ``InputError``."""
+    place = folder / ORDER
+    try:
+        saved = json.loads(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else f"not JSON ({error})"
+        raise InputError(f"{place}: {reason}; it belongs to the run folder") from None
+    order, names = (saved.get("order"), saved.get("batches")) if isinstance(saved, dict) else (None, None)
+    if not isinstance(order, list) or not order or not all(type(n) is int and n >= 0 for n in order):
+        raise InputError(f'{place}: "order" must be a list of the batch of each cycle, counted from 0')
+    if names is None:
+        # (folders were written without the names: all up to the last number must be there)
+        matches = [BATCH_NAME.fullmatch(path.name) for path in folder.iterdir()]
+        found = {int(match[1]): match[0] for match in matches if match}
+        last = max([*found, max(order) + 1])
+        names = [found.get(number, f"batch-{number:03d}.csv") for number in range(1, last + 1)]
+    if not isinstance(names, list) or not all(isinstance(name, str) and BATCH_NAME.fullmatch(name) for name in names):
+        raise InputError(f'{place}: "batches" must be a list of files such as batch-001.csv')
+    return order, names
 
 
 def _flat(row: dict) -> dict:

@@ -12,18 +12,17 @@ from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
-from f2s_hpc.cycles.flight import Flight
-from f2s_hpc.cycles.insert import InsertReport, paint_arrivals, paint_batch, paint_substrate
+from f2s_hpc.cycles.insert import InsertReport, paint_substrate
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import Progress
 from f2s_hpc.cycles.stop import StopRequest
+from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import Tracers, check_same
-from f2s_hpc.errors import UnstableStep
+from f2s_hpc.errors import F2SError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
-from f2s_hpc.particles.batch import Batch, BatchPlan, join
-from f2s_hpc.solver import sleep
+from f2s_hpc.particles.batch import BatchPlan
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.workload.balance import balance_of_run
 
@@ -52,14 +51,11 @@ class Simulation:
         self.clock = Clock()
         self.cycle = 0
         self.batch_is_in = False
-        self.particles = 0
-        self.moved = 0
-        self.waiting = join([])
-        self.flight = Flight(self.model.dx, self.state.part.box.extents) if scene.ballistic else None
+        self.supply = Supply(scene, self.plan, self.state, self.model, self.clock, self.ledger)
         self.tracers = Tracers(scene.output.tracers, self.state) if scene.output.tracers else None
         self.rows: list[dict] = []
         self.frame = 0
-        self.next_frame_time = scene.output.frame_interval or np.inf
+        self.intervals = 0  # frame intervals that have gone by
         self.substrate_quanta = 0
         self.active_before = 0
         self.active_at_start_of_cycle = 0
@@ -113,14 +109,9 @@ class Simulation:
             clock.active_cell_steps = 0
         self.active_at_start_of_cycle = clock.active_cell_steps
         self.cycle, self.batch_is_in = saved["cycle"], saved["batch_is_in"]
-        self.particles, self.moved = saved["particles"], saved["moved"]
-        self.waiting = Batch(*(np.array(a, dtype=float) for a in saved["waiting"]))
-        if self.flight is not None:
-            self.flight.restore(saved["flight"])
+        self.supply.restore(saved)
         self.rows, self.frame = saved["rows"], saved["frame"]
-        # an interval that the resumed run was given anew counts from now, if the old appointment is not sooner
-        interval = self.scene.output.frame_interval
-        self.next_frame_time = min(saved["next_frame_time"] or np.inf, clock.time + interval) if interval else np.inf
+        self.intervals = self._intervals()
         self.substrate_quanta = int(saved["substrate_quanta"])
 
     def _attributes(self) -> dict:
@@ -136,19 +127,16 @@ class Simulation:
             "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
-            "cycle": self.cycle, "batch_is_in": self.batch_is_in, "particles": self.particles, "moved": self.moved,
-            "waiting": [a.tolist() for a in self.waiting.arrays],
-            "flight": None if self.flight is None else self.flight.attributes(),
+            "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
             "rows": self.rows, "frame": self.frame,
-            "next_frame_time": None if np.isinf(self.next_frame_time) else self.next_frame_time,
             "substrate_quanta": str(self.substrate_quanta),
         }
 
     # --- the run ------------------------------------------------------------------------------------
 
     def run(self) -> str:
-        """Run all remaining cycles; return the status, complete or timeout. Raises ``UnstableStep``.
+        """Run all remaining cycles; return the status, complete or timeout. Raises ``F2SError``.
 
         Whatever happens, ``summary.json`` tells; after a failure the last checkpoint stands.
         """
@@ -165,7 +153,7 @@ class Simulation:
                     break
             else:
                 self.status = COMPLETE
-        except UnstableStep:
+        except F2SError:
             self.status = FAILED
             self.folder.write_tables(self.rows, self.summary())
             raise
@@ -184,18 +172,21 @@ class Simulation:
         follow = None if self.tracers is None else self._follow
         while clock.in_cycle < duration * (1.0 - 1e-12):
             clock.limits.stop = self.stop.asked()
-            if self.flight is not None:
-                self._land()
+            landed = self.supply.land()
+            if landed is not None and self.tracers is not None:
+                self.tracers.seed(landed, clock.time)
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
             if self.startup is None:
                 self.startup = measure.process_age(), measure.peak_memory()
             if clock.remaps % REMAPS_PER_RELEASE == 0:
                 self.state.release_empty()
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
-            if clock.time >= self.next_frame_time:
-                self._frame()
-                self.next_frame_time += self.scene.output.frame_interval
-            if clock.stop and clock.in_cycle < duration * (1.0 - 1e-12):
+            goes_on = clock.in_cycle < duration * (1.0 - 1e-12)
+            if self._intervals() > self.intervals:
+                self.intervals = self._intervals()
+                if goes_on or self.scene.output.frames != "cycle":
+                    self._frame(ends_cycle=False)
+            if clock.stop and goes_on:
                 path = self._checkpoint()
                 self.progress.say(f"stopped: {self.stop.reason()}; checkpoint {path}")
                 return False
@@ -204,48 +195,18 @@ class Simulation:
 
     def insert(self) -> InsertReport:
         """Paint or launch the batch of the present cycle and what waited from the one before; return what happened."""
-        scene = self.scene
-        # spheres that waited come last
-        batch = join([self.plan.batches[self.plan.order[self.cycle]], self.waiting])
-        if self.flight is not None:
-            return self._launch(batch)
-        sleep.wake_for(self.state, self.model, self.clock.sleep, self.clock.time, scene.domain.layer_bottom)
-        report: InsertReport = paint_batch(
-            self.state, self.model, batch, scene.domain.layer_bottom, scene.particles.velocity,
-            scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + self.cycle)
+        report, message = self.supply.insert(self.cycle)
         if self.tracers is not None:
             self.tracers.seed(report.positions, self.clock.time)
-        self.waiting = report.deferred or join([])
-        self.particles += report.spheres
-        self.moved += report.moved
         self.batch_is_in = True
-        self.clock.limits.put_in(scene.top_speed, scene.domain.cell_size)
-        if report.message():
-            self.progress.say(f"cycle {self.cycle + 1}: {report.message()}")
+        if message:
+            self.progress.say(f"cycle {self.cycle + 1}: {message}")
         return report
 
-    def _launch(self, batch: Batch) -> InsertReport:
-        """Let a batch fly towards the deposit; nothing is painted yet."""
-        raised = self.flight.launch(self.state, batch.raised(self.scene.domain.layer_bottom),
-                                    self.scene.particles.velocity, self.clock.time)
-        self.particles += batch.count
-        self.moved += raised
-        self.batch_is_in = True
-        if raised:
-            self.progress.say(f"cycle {self.cycle + 1}: {raised} spheres start higher to clear what is in their place")
-        return InsertReport(spheres=batch.count, moved=raised, positions=join([]))
-
-    def _land(self) -> None:
-        """Put the spheres that are about to meet something onto the grid."""
-        clock = self.clock
-        arrived = self.flight.arrivals(self.state, clock.time, clock.between_remaps)
-        if arrived is not None:
-            spheres = arrived[0]
-            sleep.wake_for(self.state, self.model, clock.sleep, clock.time, float((spheres.z - spheres.r).min()))
-            paint_arrivals(self.state, self.model, arrived, self.scene.particles.temperature, self.ledger)
-            if self.tracers is not None:
-                self.tracers.seed(arrived[0], clock.time)
-            clock.limits.heavy_speed = max(clock.limits.heavy_speed, self.scene.top_speed)
+    def _intervals(self) -> int:
+        """Return how many frame intervals have gone by; round-off at the end of one does not put it off."""
+        interval = self.scene.output.frame_interval
+        return int(self.clock.time / interval + 1e-9) if interval else 0
 
     def _finish_cycle(self, duration: float) -> None:
         clock = self.clock
@@ -259,7 +220,7 @@ class Simulation:
         self.active_at_start_of_cycle = clock.active_cell_steps
         output = self.scene.output
         if output.frames == "cycle":
-            self._frame()
+            self._frame(ends_cycle=True)
         if self.tracers is not None:
             self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
         self.folder.write_tables(self.rows, self.summary())
@@ -284,8 +245,9 @@ class Simulation:
         more = [] if self.tracers is None else self.tracers.blocks()
         return self.folder.write_checkpoint(self.state, self.cycle, self._attributes(), more)
 
-    def _frame(self) -> None:
-        for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle):
+    def _frame(self, ends_cycle: bool) -> None:
+        for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle,
+                                            ends_cycle):
             self.progress.say(f"note: {note}")
         self.frame += 1
 
@@ -296,11 +258,7 @@ class Simulation:
         memory = mpi.all_gather(measure.peak_memory())
         row = {
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
-            "dt_limit": clock.limit, "particles": self.particles,
-            "particles_moved": self.moved + (0 if self.flight is None else self.flight.raised),
-            "particles_waiting": self.waiting.count,
-            "particles_in_flight": 0 if self.flight is None else self.flight.count,
-            "volume_in_flight_m3": 0.0 if self.flight is None else self.flight.volume(clock.time)}
+            "dt_limit": clock.limit, **self.supply.row()}
         row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
         if self.tracers is not None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 import time
 
+from f2s_hpc import mpi
+
 
 class StopRequest:
     """Remembers that this rank was asked to stop.
@@ -32,5 +34,6 @@ class StopRequest:
         return self.signalled is not None or (self.wall_time is not None and self.elapsed() > self.wall_time)
 
     def reason(self) -> str:
-        """Return why, for the log."""
-        return f"signal {self.signalled}" if self.signalled else "the wall-time budget is spent"
+        """Return why, for the log. Collective: a signal may have reached another rank only."""
+        found = [name for name in mpi.all_gather(self.signalled) if name]
+        return f"signal {found[0]}" if found else "the wall-time budget is spent"

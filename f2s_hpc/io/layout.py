@@ -297,7 +297,11 @@ def publish(partial: pathlib.Path, path: pathlib.Path) -> None:
 
 
 def write_text_file(path: pathlib.Path, text: str) -> None:
-    """Write a small text file under another name, then give it its real one."""
+    """Write a small text file under another name, then give it its real one; a failure leaves nothing of it."""
     partial = partial_path(path)
-    partial.write_text(text, encoding="utf-8")
-    publish(partial, path)
+    try:
+        partial.write_text(text, encoding="utf-8", newline="")
+        publish(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise

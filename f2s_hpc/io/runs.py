@@ -17,7 +17,7 @@ import numpy as np
 
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.io import layout
-from f2s_hpc.io.manifest import read_manifest, text_digest
+from f2s_hpc.io.manifest import manifest_path, read_manifest, text_digest
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,22 @@ def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
             raise InputError(f"{path}: is a file; name a new folder with --out")
         if path.is_dir() and any(path.iterdir()):
             if (path / layout.CHECKPOINTS).is_dir() or (path / layout.SUMMARY_JSON).exists():
-                raise InputError(f"{path}: holds a run already; continue it with 'f2s resume {path}', "
-                                 "or start a new one in another folder with --out")
+                go_on = (f"; continue it with 'f2s resume {path}', or" if _has_checkpoint(path) else
+                         ", without a checkpoint to continue from; remove it, or")
+                raise InputError(f"{path}: holds a run already{go_on} start a new one in another folder with --out")
             raise InputError(f"{path}: is not empty; name a new or empty folder with --out")
         for folder in (path / layout.CHECKPOINTS, path / layout.FRAMES):
             folder.mkdir(parents=True, exist_ok=True)
 
     layout.attempt_on_root(make, f"{path}: cannot be made", InputError)
     return path
+
+
+def _has_checkpoint(path: pathlib.Path) -> bool:
+    """Tell whether the run folder ``path`` holds a finished checkpoint."""
+    folder = path / layout.CHECKPOINTS
+    return folder.is_dir() and any(layout.checkpoint_key(file.name) is not None and manifest_path(file).exists()
+                                   for file in folder.iterdir())
 
 
 def read_summary(path: str | os.PathLike) -> dict:
@@ -66,7 +74,7 @@ def read_summary(path: str | os.PathLike) -> dict:
         summary = json.loads(place.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{place}: {error.strerror}; is {path} the folder of a run?") from None
-    except ValueError as error:
+    except ValueError as error:  # (not UTF-8 is one too)
         raise InputError(f"{place}: not JSON ({error})") from None
     if not isinstance(summary, dict):
         raise InputError(f"{place}: not a JSON object")
@@ -74,12 +82,18 @@ def read_summary(path: str | os.PathLike) -> dict:
 
 
 def read_cycle_table(path: str | os.PathLike) -> list[dict[str, str]]:
-    """Return the rows of ``summary.csv`` of the run folder ``path``, as text; empty when there is none."""
+    """Return the rows of ``summary.csv`` of the run folder ``path``, as text; empty when there is none.
+
+    Raises ``InputError`` when it cannot be read.
+    """
     place = pathlib.Path(path) / layout.SUMMARY_CSV
     if not place.exists():
         return []
-    with place.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    try:
+        with place.open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{place}: not a readable table ({' '.join(str(error).split())})") from None
 
 
 def list_frames(folder: str | os.PathLike, frames: str = layout.FRAMES) -> list[int]:

@@ -223,7 +223,7 @@ def specific_losses(runs, count, window, shape, nodal, lost, specific):
         row = (k * (ny + 1) + j) * (nx + 1)
         for n in range(row + max(runs[r, 2], window[4]), row + min(runs[r, 3], window[5])):
             m = nodal[n]
-            specific[n] = 0.5 * lost[n] / max(m, 1e-300) if m > LEAST_HEATING else 0.0
+            specific[n] = 0.5 * lost[n] / max(m, 1e-300) if (m > LEAST_HEATING) | (lost[n] < 0.0) else 0.0
             lost[n] = 0.0
 
 

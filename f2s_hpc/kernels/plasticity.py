@@ -204,7 +204,9 @@ def heat_chunk(mass, temperature, bulk, heating, dt_over_volume, hourglass, q00,
         specific = 0.125 * (((q00[i] + q00[i + 1]) + (q10[i] + q10[i + 1])) + ((q01[i] + q01[i + 1])
                                                                               + (q11[i] + q11[i + 1])))
         lost = mass[i] * bulk.density * specific + hourglass[i] * dt_over_volume
-        s[RETURNED * W + i] = losses * bulk.taylor_quinney * lost if mass[i] > 0.0 else 0.0
+        # (what the ringing of the remap made may cool, but not more than by half)
+        held = mass[i] * bulk.density * bulk.specific_heat * temperature[i]
+        s[RETURNED * W + i] = losses * max(bulk.taylor_quinney * lost, -0.5 * held) if mass[i] > 0.0 else 0.0
         s[VISCOUS * W + i] = s[VISCOUS * W + i] if mass[i] > 0.0 else 0.0
         s[POWER * W + i] = s[POWER * W + i] if mass[i] > 0.0 else 0.0
         s[HEAT * W + i] = (bulk.taylor_quinney * s[POWER * W + i] + viscous * s[VISCOUS * W + i]) + s[RETURNED * W + i]

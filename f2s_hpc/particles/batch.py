@@ -11,7 +11,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal, InvalidOperation, Overflow
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
 MISFIT_WORTH_A_LINE = 0.01
 SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
+LONGEST_QUOTE = 60  # characters of a bad value that a message shows: an unclosed quote swallows the rest of its file
 LAYER_TOLERANCE = 1e-9  # of the layer height: a sphere written as touching the layer's end does not cross it
 
 
@@ -72,15 +73,21 @@ class BatchPlan:
     messages: list[str] = field(default_factory=list)
 
 
+def _quoted(text: str) -> str:
+    """Return a value for a message: in quotes, and of a very long one its start."""
+    text = text.strip()
+    return repr(text if len(text) <= LONGEST_QUOTE else text[:LONGEST_QUOTE] + "...")
+
+
 def _metres(text: str, where: str, column: str) -> float:
     """Return a millimetre number as metres, rounded once (so that written batches read back bit for bit)."""
     try:
-        value = Decimal(text.strip())
-    except InvalidOperation:
-        value = Decimal("nan")
-    if not value.is_finite():
-        raise InputError(f"{where}: {column} is {text.strip()!r}, but must be a number in millimetres, like 0.0402")
-    return float(value.scaleb(-3))
+        value = float(Decimal(text.strip()).scaleb(-3))
+    except (InvalidOperation, Overflow, ValueError):  # (a signalling NaN is no float)
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {column} is {_quoted(text)}, but must be a number in millimetres, like 0.0402")
+    return value
 
 
 def _metres_per_second(text: str, where: str, column: str) -> float:
@@ -89,7 +96,7 @@ def _metres_per_second(text: str, where: str, column: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{where}: {column} is {text.strip()!r}, but must be a number in m/s, like -615")
+        raise InputError(f"{where}: {column} is {_quoted(text)}, but must be a number in m/s, like -615")
     return value
 
 
@@ -97,14 +104,25 @@ def _check_header(path: Path, header: list[str]) -> None:
     for name in COLUMNS:
         if name not in header:
             raise InputError(f"{path}: column {name!r} is missing; the first line must be x,y,z,r (millimetres), "
-                             f"not {','.join(header)!r}")
+                             f"not {_quoted(','.join(header))}")
     for name in header:
         if name not in COLUMNS + VELOCITY_COLUMNS or header.count(name) > 1:
-            raise InputError(f"{path}: unexpected column {name!r}; the first line must be x,y,z,r (millimetres), or "
-                             "x,y,z,r,vx,vy,vz (and m/s)")
+            raise InputError(f"{path}: unexpected column {_quoted(name)}; the first line must be x,y,z,r (millimetres) "
+                             "or x,y,z,r,vx,vy,vz (and m/s)")
     velocities = [name for name in VELOCITY_COLUMNS if name in header]
     if velocities and len(velocities) < 3:
         raise InputError(f"{path}: column {','.join(velocities)} without the others; give all of vx,vy,vz or none")
+
+
+def _split_rows(path: Path, lines: Sequence[str]) -> list[list[str]]:
+    """Return the values of each line that is not blank. Raises InputError, naming the row that cannot be split."""
+    rows = []
+    try:
+        rows.extend(csv.reader(line for line in lines if line.strip()))
+    except csv.Error as error:
+        where = f"row {len(rows)}" if rows else "the first line"
+        raise InputError(f"{path}: {where}: cannot be split into values ({error}); is a quote left open?") from None
+    return rows
 
 
 def read_csv(path: str | os.PathLike) -> Batch:
@@ -120,7 +138,7 @@ def read_csv(path: str | os.PathLike) -> Batch:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise InputError(f"{path}: cannot be read ({reason}); a CSV file with the columns x,y,z,r is needed") from None
-    rows = list(csv.reader(line for line in lines if line.strip()))
+    rows = _split_rows(path, lines)
     if not rows:
         raise InputError(f"{path}: the file is empty; the first line must be x,y,z,r, then one sphere per row")
     header = [name.strip() for name in rows[0]]
@@ -247,7 +265,7 @@ def _warn_of_overlap(batch: Batch, label: str, messages: list[str]) -> None:
     gap = smallest_gap(batch)
     if gap < 1.0:
         messages.append(f"{label}: spheres overlap (smallest centre distance over summed radii {gap:.4f}); "
-                        "a cell they share cannot hold both")
+                        "where a cell that they share cannot hold both, the later one is moved")
 
 
 def _generate(scene, height: float, seeds: list[np.random.SeedSequence], messages: list[str]) -> list[Batch]:

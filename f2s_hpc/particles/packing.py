@@ -91,6 +91,59 @@ def smallest_gap_ratio(x, y, z, r):
     return np.sqrt(smallest)
 
 
+@kernel
+def shared_volume(distance, first, second):
+    """Return the volume that two spheres of radii ``first`` and ``second`` share at this centre distance; one unit."""
+    both, larger, smaller = first + second, max(first, second), min(first, second)
+    if distance >= both:
+        return 0.0
+    if distance <= larger - smaller:
+        return 4.0 / 3.0 * np.pi * smaller**3
+    deep, difference = both - distance, first - second
+    area = distance * (distance + 2.0 * both) - 3.0 * difference * difference
+    return np.pi * deep * deep * area / (12.0 * distance)
+
+
+@kernel
+def _settle(x, y, z, r, allowed, settled, crowded, turns):
+    """See :func:`settle_in_order`; here x rises, so that neighbours are near in memory, and ``turns`` is the order."""
+    largest = r.max()
+    for s in turns:
+        if settled[s] or crowded[s]:
+            continue
+        shared = 0.0
+        for way in (-1, 1):
+            n = s + way
+            while 0 <= n < x.size and abs(x[n] - x[s]) < r[s] + largest:
+                if settled[n]:
+                    a, b, c, both = x[n] - x[s], y[n] - y[s], z[n] - z[s], r[n] + r[s]
+                    squared = a * a + b * b + c * c
+                    if squared < both * both:
+                        shared += shared_volume(np.sqrt(squared), r[n], r[s])
+                n += way
+        if shared > allowed:
+            crowded[s] = True
+        else:
+            settled[s] = True
+
+
+def settle_in_order(x: np.ndarray, y: np.ndarray, z: np.ndarray, r: np.ndarray, allowed: float, settled: np.ndarray,
+                    crowded: np.ndarray) -> None:
+    """Settle spheres one by one in their order; one that would share too much with the settled ones is crowded instead.
+
+    ``x, y, z, r``: places and radii (m); ``allowed``: the most volume (m3) that a sphere may share with all settled
+    ones. ``settled`` and ``crowded`` (bool, per sphere) are changed; a sphere that is either already keeps it.
+    """
+    if not r.size:
+        return
+    along = np.argsort(x, kind="stable")
+    turns = np.empty_like(along)
+    turns[along] = np.arange(x.size)
+    done, refused = settled[along], crowded[along]
+    _settle(x[along], y[along], z[along], r[along], allowed, done, refused, turns)
+    settled[along], crowded[along] = done, refused
+
+
 def _bins(box: tuple[float, float, float], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the empty bins (-1) and their edge lengths: about one sphere per bin."""
     edge = (box[0] * box[1] * box[2] / max(count, 1)) ** (1.0 / 3.0)

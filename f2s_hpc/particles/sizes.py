@@ -34,12 +34,6 @@ class RosinRammler:
         if not (self.scale > 0 and self.exponent > 0 and 0 < self.minimum < self.maximum):
             raise InputError(f"particle sizes: {self} needs scale > 0, exponent > 0 and 0 < minimum < maximum")
 
-    def volume_cdf(self, diameter: ArrayLike) -> np.ndarray:
-        """Return the volume share (0..1) of particles smaller than ``diameter`` (m, any shape)."""
-        d = np.clip(np.asarray(diameter, dtype=np.float64), self.minimum, self.maximum)
-        start, end = self._exponents_at_ends()
-        return np.expm1(start - (d / self.scale) ** self.exponent) / np.expm1(start - end)
-
     def volume_percentile(self, q: ArrayLike) -> np.ndarray:
         """Return the diameter (m) below which the volume share ``q`` (0..1, any shape) lies."""
         start, end = self._exponents_at_ends()

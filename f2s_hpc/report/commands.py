@@ -78,7 +78,7 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
     drawn = draw_all(place, [("", found)])
     print(f"written to {place}: analysis.json, {', '.join(sorted(p.name for p in place.glob('*.csv')))}, "
           f"{sum(map(len, drawn.values()))} figures")
-    return 1 if found.handover is not None and not found.handover.exact else 0
+    return 1 if found.handover is not None and found.handover.different else 0
 
 
 def report(folder: str, settings: Settings, second: str | None = None, cycle: int | None = None,
@@ -148,7 +148,8 @@ def as_dictionary(found: Measurements) -> dict:
                    "length_is_standard": found.rough_along.standard and found.rough_across.standard}
     if found.handover is not None:
         hand = found.handover
-        result["handover"] = {"cycle": hand.cycle, "exact": hand.exact, "values_different": hand.different,
+        result["handover"] = {"cycle": hand.cycle, "checked": hand.checked, "exact": hand.exact,
+                              "particles": hand.particles, "values_different": hand.different,
                               "cells": hand.cells, "cells_touched": hand.new_cells, "differences": hand.differences}
     for name, d in found.distributions.items():
         result[f"{name}_by_height"] = {

@@ -106,14 +106,15 @@ def load_deposit(folder: str | os.PathLike, cycle: int | None = None) -> Deposit
 
 
 def _frames_by_cycle(folder: pathlib.Path) -> dict[int, int]:
-    """Return the number of the last frame of each cycle: that at its end."""
+    """Return the number of the frame at the end of each cycle."""
     found = {}
     for number in runs.list_frames(folder):
         try:
             meta = runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(number))
         except F2SError:
             continue
-        if set(FRAME_FIELDS) <= set(meta.locations) and meta.provenance.get("scene"):
+        ends = meta.provenance.get("ends_cycle", True)  # (the others come by output.frame_interval)
+        if ends and set(FRAME_FIELDS) <= set(meta.locations) and meta.provenance.get("scene"):
             found[int(meta.provenance.get("cycle", 0))] = number
     return found
 

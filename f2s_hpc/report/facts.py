@@ -30,15 +30,17 @@ METHODS = (
      "is at least half full of landed material, plus what lies in the cell above (sub-cell, from volume fractions). "
      "Landed is what is slower than a tenth of the particles and attached to the deposit. Dense-equivalent is the "
      "height of all material in the box without pores."),
-    ("Roughness: Gaussian filter of ISO 16610-21 with the cutoff stated; towards a symmetry side the profile is "
-     "continued as its mirror image, which is exact there, else the weights are renormalised, so no length is lost. "
-     "A value holds for its cutoff and length only."),
+    ("Roughness: Gaussian filter of ISO 16610-21 with the cutoff stated; along an axis with symmetry on both "
+     "sides the profile is continued as its mirror image, which is exact there, else the weights are renormalised, so "
+     "no length is lost. A value holds for its cutoff and length only."),
     ("Porosity is that of the bulk: whole cells above the substrate top, farther than the surface zone from the "
      "surface as seen from above. Exact: one less the mean volume fraction. Image: sections thresholded at 0.5, as "
      "the paper does. Open pores are connected through cell faces to the free space above; sides of the box are no "
      "way out."),
-    ("Hand-over: the checkpoint at the end of a cycle is loaded, the next batch painted as the run paints it, and "
-     "every saved field compared with the file in all cells that no new sphere touches (Fig. 6 of the paper)."),
+    ("Hand-over: the checkpoint at the end of a cycle is loaded, the next batch put onto the grid, and every saved "
+     "field compared with the file in all cells that no new sphere touches (Fig. 6 of the paper). With Eulerian "
+     "flight the batch is painted as the run paints it; with ballistic flight, all spheres in flight that lie inside "
+     "the box are painted at once, where they are, by the function that the run uses at the end of each flight."),
     ("Flattening: on each section, at distances of the median diameter, basins of PEEQ between ridges are taken as "
      "particles. Measured are those whose boundary is inside the section, not at the free surface, and above the "
      "substrate: W and H are their extents, Eq. (5) is W/H, Eq. (6) W/D with D the cube root of W W H. A section "
@@ -155,6 +157,8 @@ def handover_text(found: Handover | None) -> str:
         return "not checked: no checkpoint at the end of a cycle that another one follows, or left out"
     where = (f"cycle {found.cycle} to {found.cycle + 1}, {found.particles} particles painted, {found.new_cells:,} of "
              f"{found.cells:,} cells touched by them")
+    if not found.checked and not found.different:
+        return f"not checked: after cycle {found.cycle} no new sphere touches a cell of the box"
     if found.exact:
         return f"{where}: everywhere else not one bit of any saved field changed; the difference is zero"
     worst = ", ".join(f"{name} {value:.3g}" for name, value in found.differences.items() if value > 0.0)

@@ -1,8 +1,14 @@
 """The hand-over from one cycle to the next, Fig. 6 of Ge et al. 2026: away from the new particles nothing may change.
 
 The paper looks at the last increment of the second iteration and the first of the third. Here the checkpoint at the
-end of a cycle is loaded, the next batch is painted exactly as the run paints it, and every saved field is compared with
-the file, bit by bit, in all cells that no new sphere touches and at all nodes that belong to no such cell.
+end of a cycle is loaded, the next batch is put onto the grid, and every saved field is compared with the file, bit by
+bit, in all cells that no new sphere touches and at all nodes that belong to no such cell.
+
+With Eulerian flight the batch is painted exactly as the run paints it. With ballistic flight a run paints each sphere
+only when it is about to meet something, between two steps, where nothing could be told from what the steps change. So
+the batch is launched as the run does, and all spheres in flight that lie inside the box, of this batch and of those
+before, are painted at once, at the time of the checkpoint and where they are then, by the function that the run uses.
+Spheres above the top of the box are not. Where no new sphere touches a cell nothing is checked.
 """
 
 from __future__ import annotations
@@ -19,24 +25,23 @@ import numpy as np
 
 from f2s_hpc import fields
 from f2s_hpc.config import Scene, parse_scene
-from f2s_hpc.cycles.insert import InsertReport
 from f2s_hpc.cycles.simulation import Simulation
 from f2s_hpc.io import runs
 from f2s_hpc.kernels import derived, paint
+from f2s_hpc.particles.batch import Batch, join
 from f2s_hpc.report.deposit import checkpoints_by_cycle
 from f2s_hpc.state import State
 
 _LAYERS_AT_ONCE = 16
-COMPARED = ("volume_fraction", "peeq", "temperature", "von_mises")
 
 
 @dataclass(frozen=True)
 class Handover:
     """What the insertion of a batch changed where it should change nothing.
 
-    ``cycle``: at whose end; ``particles``: painted; ``cells``, ``new_cells``: of the box, and touched by new spheres;
-    ``differences``: largest absolute difference of each saved field, and of the von Mises stress, outside of them, SI;
-    ``different``: number of values that differ in any bit.
+    ``cycle``: at whose end; ``particles``: put onto the grid; ``cells``, ``new_cells``: of the box, and touched by new
+    spheres; ``differences``: largest absolute difference of each saved field, and of the von Mises stress, outside of
+    those, SI; ``different``: number of values that differ in any bit.
     """
 
     cycle: int
@@ -48,8 +53,13 @@ class Handover:
 
     @property
     def exact(self) -> bool:
-        """Tell whether every bit was carried over."""
-        return self.different == 0
+        """Tell whether every bit was carried over while something new came in."""
+        return self.checked and self.different == 0
+
+    @property
+    def checked(self) -> bool:
+        """Tell whether anything new came in: else the state was compared with its own file, which shows nothing."""
+        return self.new_cells > 0
 
 
 def memory_needed(scene: Scene) -> float:
@@ -73,8 +83,16 @@ def check_handover(folder: str | os.PathLike, cycle: int | None = None) -> Hando
             with _signals_as_before():
                 simulation = Simulation(scene, folder)
             simulation.resume(path)
-            return _compare(simulation, simulation.insert(), path)
+            return _compare(simulation, _put_in(simulation), path)
     return None
+
+
+def _put_in(simulation: Simulation) -> Batch:
+    """Put the next batch onto the grid; return its spheres there, as the module's text says."""
+    report = simulation.insert()
+    if simulation.supply.flight is None:
+        return report.positions
+    return simulation.supply.land_all() or join([])
 
 
 @contextlib.contextmanager
@@ -88,9 +106,8 @@ def _signals_as_before() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _compare(simulation: Simulation, report: InsertReport, path: pathlib.Path) -> Handover:
+def _compare(simulation: Simulation, spheres: Batch, path: pathlib.Path) -> Handover:
     state = simulation.state
-    spheres = report.positions
     added = np.zeros(state.part.cell_shape)
     # found from the spheres, not from what changed: a change elsewhere must not hide itself
     paint.add_spheres(spheres.x, spheres.y, spheres.z, spheres.r, state.part.offset, state.part.box.dx, added)
@@ -111,7 +128,7 @@ def _compare(simulation: Simulation, report: InsertReport, path: pathlib.Path) -
             differences[name] = largest
             different += count
         differences["von_mises"] = _von_mises_difference(state, file, ~new)
-    return Handover(simulation.cycle, report.spheres, new.size, int(new.sum()), differences, different)
+    return Handover(simulation.cycle, spheres.count, new.size, int(new.sum()), differences, different)
 
 
 def _touched_nodes(new: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,11 @@ class Quantity:
     scale: float = 1.0
     form: str = ".3g"
     paper: float | None = None
+
+    @property
+    def topic(self) -> str:
+        """What the group is about, the same for every run: its title without what stands in brackets."""
+        return self.group.partition(" (")[0]
 
     def text(self, value: float | None = None) -> str:
         """Return ``value`` (SI; default: its own) in the unit shown, without the unit; "-" where there is none."""
@@ -238,31 +244,68 @@ class Table:
 
 
 def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
-    """Return the quantities of one or two runs as tables, one per group, with the paper's values where it has them.
+    """Return the quantities of one or two runs as tables, one per topic, with the paper's values where it has them.
 
-    With two runs a column tells by how much the second exceeds the first: in percent, shares in points.
+    What either run has is shown, in order. Titles and names hold numbers of a run (a cutoff, a length): where the runs
+    differ both are named. With two runs a column tells by how much the second exceeds the first: in percent, shares in
+    points. The paper is compared with the first run for which it has values.
     """
-    lists = [quantities(found) for _, found in runs]
-    by_key = [{q.key: q for q in one} for one in lists]
-    result: list[Table] = []
-    for group in dict.fromkeys(q.group for q in lists[0]):
-        members = [q for q in lists[0] if q.group == group]
-        with_paper = any(q.paper is not None for q in members)
-        head = ["", "unit", *(label or "simulated" for label, _ in runs)]
-        head += (["difference"] if len(runs) == 2 else []) + (["paper", "off the paper"] if with_paper else [])
-        rows = []
-        for q in members:
-            others = [keys.get(q.key) for keys in by_key]
-            line = [q.name, q.unit, *(o.text() if o else "-" for o in others)]
-            if len(runs) == 2:
-                # by how many percent a scatter differs says nothing
-                own = q.name.startswith(_INDENT)
-                line.append("" if own else q.off(others[1].value if others[1] else None, q.value))
-            if with_paper:
-                line += ["-", "-"] if q.paper is None else [q.text(q.paper), q.off(q.value, q.paper)]
-            rows.append(line)
-        result.append(Table(group, head, rows))
+    labels = [label for label, _ in runs]
+    by_topic: list[dict[str, dict[str, Quantity]]] = []
+    for _, found in runs:
+        by_topic.append({})
+        for q in quantities(found):
+            by_topic[-1].setdefault(q.topic, {})[q.key] = q
+    result = []
+    for topic in _union(by_topic):
+        members = [topics.get(topic, {}) for topics in by_topic]
+        titles = [next(iter(keys.values())).group if keys else None for keys in members]
+        judged = next((n for n, keys in enumerate(members) if any(q.paper is not None for q in keys.values())), None)
+        head = ["", "unit", *(label or "simulated" for label in labels)]
+        head += ["difference"] if len(runs) == 2 else []
+        if judged is not None:
+            head += ["paper", f"{labels[judged]} off the paper" if judged else "off the paper"]
+        rows = [_row([keys.get(key) for keys in members], labels, judged) for key in _union(members)]
+        result.append(Table(_both(titles, labels), head, rows))
     return result
+
+
+def _row(found: Sequence[Quantity | None], labels: Sequence[str], judged: int | None) -> list[str]:
+    """Return the row of one quantity of all runs, None where a run lacks it; ``judged``: run to hold to the paper."""
+    q = next(o for o in found if o is not None)
+    line = [_both([o.name if o else None for o in found], labels), q.unit, *(o.text() if o else "-" for o in found)]
+    values = [o.value if o else None for o in found]
+    if len(found) == 2:
+        # by how many percent a scatter differs says nothing
+        line.append("" if q.name.startswith(_INDENT) else q.off(values[1], values[0]))
+    if judged is not None:
+        mine = found[judged]
+        known = mine is not None and mine.paper is not None
+        line += [q.text(mine.paper), q.off(mine.value, mine.paper)] if known else ["-", "-"]
+    return line
+
+
+def _union(lists: Sequence[Iterable[str]]) -> list[str]:
+    """Return all names, in the order of the first list; what only another has stands behind what it follows there."""
+    result: list[str] = []
+    for names in lists:
+        place = 0
+        for name in names:
+            if name not in result:
+                result.insert(place, name)
+            place = result.index(name) + 1
+    return result
+
+
+def _both(texts: Sequence[str | None], labels: Sequence[str]) -> str:
+    """Return the text of all runs (None: a run has none), or where they differ each, with its label behind it."""
+    there = [(text, label) for text, label in zip(texts, labels) if text is not None]
+    if len({text for text, _ in there}) == 1:
+        return there[0][0]
+    heads = [re.split(r", | \(", text)[0] for text, _ in there]
+    cut = len(heads[0]) if len(set(heads)) == 1 else 0
+    return heads[0][:cut] + "; ".join(f"{text[cut:] if n == 0 else text[cut:].lstrip(', ')} [{label}]"
+                                      for n, (text, label) in enumerate(there))
 
 
 def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:

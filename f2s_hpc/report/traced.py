@@ -58,10 +58,10 @@ def trace(deposit: Deposit) -> TracedParticles | None:
     if cloud is None:
         return None
     total = cloud.particles.diameter.size
-    cells = np.floor(cloud.position / deposit.dx).astype(np.int64)
-    most = np.array(deposit.fraction.shape[::-1]) - 1
-    inside = ((cells >= 0) & (cells <= most + 1)).all(axis=1)  # a point on the high side is inside
-    i, j, k = np.clip(cells, 0, most).T
+    number = np.array(deposit.fraction.shape[::-1])
+    # a point on the high side is inside
+    inside = ((cloud.position >= 0.0) & (cloud.position <= number * deposit.dx)).all(axis=1)
+    i, j, k = np.clip(np.floor(cloud.position / deposit.dx).astype(np.int64), 0, number - 1).T
     there = inside & deposit.landed[k, j, i] & (cloud.fraction > 0.0)
     held = np.bincount(cloud.particle, minlength=total)
     landed = np.bincount(cloud.particle[there], minlength=total)

@@ -137,10 +137,8 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     # a kick from half step to half step works with the mean of both velocities, one of half a step beside a remap with
     # the new one, and second_half, which has this step's viscous pressure again, too. Hourglass control has another
     # power there, but heat of the first is near enough
-    kick = 0.5 * dt if kicked is None else kicked
-    whole = kick + (0.5 * dt if last else 0.0)
-    before = 0.5 * kick if displaced else 0.0
-    times = before, whole - before, whole
+    times = (0.5 * dt if displaced else 0.0, dt if last else 0.5 * dt,
+             (0.5 * dt if kicked is None else kicked) + (0.5 * dt if last else 0.0))
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, times, model.dx, s.largest_strain, model.bulk, model.eos,
         model.flow, (float(s.viscous_heating), float(s.loss_heating)), state.flat["mass"],

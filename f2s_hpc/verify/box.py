@@ -11,6 +11,7 @@ from f2s_hpc import mpi
 from f2s_hpc.build import build_ledger, build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles.insert import InsertReport, paint_batch, paint_substrate
+from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.grid.box import GHOST, SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition
 from f2s_hpc.particles.batch import Batch
@@ -46,30 +47,37 @@ _WARM: set[tuple[type, type]] = set()
 
 @dataclass
 class Setup:
-    """A box that can be stepped."""
+    """A box that can be stepped; ``supply``: where its particles come from, if they fly."""
 
     state: State
     model: Model
     ledger: Ledger
     clock: Clock = field(default_factory=Clock)
     report: InsertReport | None = None
+    supply: Supply | None = None
+
+    def step(self, end: float, most: int | None = None) -> None:
+        """Put in what arrives, then step towards ``end`` (s) until the next remap, after ``most`` steps at most."""
+        if self.supply is not None:
+            self.supply.land()
+        advance(self.state, self.model, self.clock, self.ledger, end, most)
 
     def advance(self, steps: int) -> None:
         """Take ``steps`` time steps of the size that the solver chooses, and end with a remap."""
         end = self.clock.steps + steps
         while self.clock.steps < end:
-            advance(self.state, self.model, self.clock, self.ledger, 1.0, end - self.clock.steps)
+            self.step(1.0, end - self.clock.steps)
 
     def advance_to_remap(self) -> int:
         """Step until the next remap is done; return how many steps that took."""
         before = self.clock.steps
-        advance(self.state, self.model, self.clock, self.ledger, 1.0)
+        self.step(1.0)
         return self.clock.steps - before
 
     def advance_to(self, end: float) -> None:
         """Step to the time ``end`` (s) exactly."""
         while self.clock.in_cycle < end * (1.0 - 1e-12):
-            advance(self.state, self.model, self.clock, self.ledger, end)
+            self.step(end)
 
     def activate(self) -> None:
         """Find the active cells anew; call after cells were filled by hand."""

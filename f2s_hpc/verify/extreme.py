@@ -81,9 +81,10 @@ def _temperatures() -> list[Extreme]:
 
 
 def _resolutions() -> list[Extreme]:
-    scenes = [Extreme(f"D/dx {n:g}", impact(cells=n), quick=n < 3) for n in (1.5, 2.0, 3.0, 4.5, 12.0, 20.0)]
-    return [*scenes, Extreme("D/dx 40, short", impact(cells=40, box=(1.3, 1.3, 1.6), substrate=0.5, travel=0.6,
-                                                      spheres=((0.65, 0.65, 0.51),)))]
+    scenes = [Extreme(f"D/dx {n:g}", impact(cells=n), quick=n < 3) for n in (2.0, 3.0, 4.5, 12.0, 20.0)]
+    whole = impact(cells=1.5, box=(2.0, 2.0, 10.0 / 3.0), substrate=4.0 / 3.0)  # 3 x 3 x 5 cells
+    fine = impact(cells=40, box=(1.3, 1.3, 1.6), substrate=0.5, travel=0.6, spheres=((0.65, 0.65, 0.51),))
+    return [Extreme("D/dx 1.5", whole, quick=True), *scenes, Extreme("D/dx 40, short", fine)]
 
 
 def _metals() -> list[Extreme]:

@@ -40,10 +40,17 @@ def scene_text(seed: int, index: int) -> str:
         f'title = "fuzz {seed}-{index}"', "[domain]", f"size = {_quantities(size, 'm')}", f'cell_size = "{cell!r} m"',
         f'substrate_height = "{substrate!r} m"', f'particle_layer_height = "{float(layer)!r} m"',
         f"faces = {_faces(draw)}", "[substrate]", f'temperature = "{draw.uniform(50.0, 1000.0):.3f} K"', "[particles]",
-        f'speed = "{speed!r} m/s"', f"direction = {[float(d) for d in direction]}",
+        f'flight = "{_flight(seed, index)}"', f'speed = "{speed!r} m/s"',
+        f"direction = {[float(d) for d in direction]}",
         f'temperature = "{draw.uniform(77.0, 1340.0):.3f} K"', "[batches]", f"spheres = {_spheres(draw, size, layer)}",
         "[cycles]", f"count = {count}", f'duration = "{duration!r} s"', *_material(draw), *_numerics(draw)]
     return "\n".join(lines) + "\n"
+
+
+def _flight(seed: int, index: int) -> str:
+    """Return how the particles fly, drawn for itself: what else is drawn stays as it was before they could."""
+    draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index, 1])))
+    return "ballistic" if draw.random() < 0.6 else "eulerian"
 
 
 def _quantities(values: Sequence[float], unit: str) -> str:

@@ -15,7 +15,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
-from f2s_hpc.verify.watch import prepare, run_cycles
+from f2s_hpc.verify.scenes import prepare, run_cycles
 
 SCENE = "quickstart"
 QUICK = ("domain.size=[\"0.06 mm\", \"0.06 mm\", \"0.21 mm\"]", "domain.substrate_height=0.096 mm",
@@ -47,6 +47,7 @@ class Lever:
 
 
 LEVERS: tuple[Lever, ...] = (
+    Lever("ballistic flight", ("particles.flight=ballistic",), ("particles.flight=eulerian",)),
     Lever("active rows", ("numerics.active_rows=true",), ("numerics.active_rows=false",)),
     Lever("no conduction", ("numerics.conduction=false",), ("numerics.conduction=true",)),
     Lever("fewer remaps", ("numerics.steps_per_remap=8",), ("numerics.steps_per_remap=1",)),

@@ -12,6 +12,7 @@ from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.derived import cell_pressure
 from f2s_hpc.materials.params import LinearHardening, MieGrueneisen
 from f2s_hpc.solver.model import Model
+from f2s_hpc.solver.step import advance
 from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import (
     ALL_SYMMETRY,
@@ -29,6 +30,9 @@ THIN, VOID = 3, 4
 
 PUBLISHED_CELLS = 300
 """Cells of the published runs on this length; the bars hold from there on."""
+
+OVERSHOOTS = ("overshoot of stress (Pa)", "overshoot at half time and end (Pa)")
+"""Of the whole run, with a bar, and what is left of it later, which is less."""
 
 
 @dataclass(frozen=True)
@@ -130,20 +134,32 @@ def _block(cells: int, model: Model, piston: float) -> Setup:
     return setup
 
 
+def _largest_stress_until(setup: Setup, end: float, cells: int) -> float:
+    """Step to the time ``end`` (s); return the largest stress (Pa) in the block after any remap on the way."""
+    clock, largest = setup.clock, 0.0
+    while clock.in_cycle < end * (1.0 - 1e-12):
+        advance(setup.state, setup.model, clock, setup.ledger, end)
+        largest = max(largest, float(_profiles(setup)[0][:cells].max()))
+    return largest
+
+
 def _run_level(cells: int, model: Model, piston: float, waves: tuple[Wave, Wave],
-               end: float) -> tuple[list[tuple[str, float, float]], float, Setup]:
-    """Run one resolution; return (quantity, value, reference), the largest stress, and the setup."""
+               end: float) -> tuple[list[tuple[str, float, float]], tuple[float, float], Setup]:
+    """Run one resolution; return (quantity, value, reference), the largest stresses, and the setup.
+
+    The largest of the whole run, which is that of the first moments at the wall, and that at half time and at the end.
+    """
     setup = _block(cells, model, piston)
     nodes = np.arange(cells) * model.dx
     centres = nodes + 0.5 * model.dx
     precursor, plastic = waves
-    fronts, largest = [], 0.0
+    fronts, largest, late = [], 0.0, 0.0
     for share in (0.5, 1.0):
-        setup.advance_to(share * end)
+        largest = max(largest, _largest_stress_until(setup, share * end, cells))
         stress, velocity = (profile[:cells] for profile in _profiles(setup))
+        late = max(late, float(stress.max()))
         # in the frame of the material ahead; what has left the far end does not count
         velocity = np.where(nodes < cells * model.dx - 1.1 * piston * end, velocity + piston, 0.0)
-        largest = max(largest, float(stress.max()))
         levels = (0.5 * precursor.velocity, 0.5 * (precursor.velocity + plastic.velocity))
         fronts.append([_front(nodes, velocity, level) for level in levels])
     between = [(fronts[1][n] - fronts[0][n]) / (0.5 * end) + piston for n in range(2)]
@@ -156,7 +172,7 @@ def _run_level(cells: int, model: Model, piston: float, waves: tuple[Wave, Wave]
         ("precursor velocity (m/s)", _mean_between(nodes, velocity, x_plastic, x_elastic), precursor.velocity),
         ("precursor wave speed (m/s)", between[0], precursor.speed),
     ]
-    return found, largest, setup
+    return found, (largest, late), setup
 
 
 def _run(options: Options) -> Iterator[Measured]:
@@ -179,9 +195,10 @@ def _run(options: Options) -> Iterator[Measured]:
         for quantity, value, reference in found:
             error = abs(value / reference - 1.0) if math.isfinite(value) else math.inf
             yield Measured(quantity, level, model.dx, value, reference, error, 5e-3 if asked else None, **spent)
-        over = max(0.0, largest / waves[1].stress - 1.0)
-        yield Measured("overshoot of stress (Pa)", level, model.dx, largest, waves[1].stress, over,
-                       5e-2 if asked else None, compares=False, **spent)
+        for name, stress, bar in zip(OVERSHOOTS, largest, (5e-2, None)):
+            over = max(0.0, stress / waves[1].stress - 1.0)
+            yield Measured(name, level, model.dx, stress, waves[1].stress, over, bar if asked else None,
+                           compares=False, **spent)
 
 
 def _case(name: str, speed: str, more: str) -> Case:
@@ -189,8 +206,8 @@ def _case(name: str, speed: str, more: str) -> Case:
         name, f"""Elastic-plastic piston at {speed}{more} against the exact two-wave solution
 A block of copper runs into a mirror (the piston in the frame of the piston; speeds are given in the frame of the
 material ahead). Relative errors of the means over the middle of each plateau at the end, of the front speeds
-between half time and end, and the largest stress over the plateau. Bars from 300 cells on, as published:
-Udaykumar et al. 2003, J. Comput. Phys. 186, 136-177.""",
+between half time and end, and the largest stress over the plateau: after any remap of the run (bar), and at half time
+and end. Bars from 300 cells on, as published: Udaykumar et al. 2003, J. Comput. Phys. 186, 136-177.""",
         _run, (75, 150, 300), (150, 300, 600, 1200),
         {"speed": speed, "length": "15 mm", "time": "2.9 us", "material": "copper-piston"},
         {"speed": "speed", "length": "length", "time": "time"})

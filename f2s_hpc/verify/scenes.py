@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from f2s_hpc import mpi
 from f2s_hpc.build import build_ledger, build_model, build_state
@@ -10,7 +10,8 @@ from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
-from f2s_hpc.particles.batch import join, make_batches
+from f2s_hpc.cycles.supply import Supply
+from f2s_hpc.particles.batch import BatchPlan, make_batches
 from f2s_hpc.verify.box import Setup
 
 _SCENE = """
@@ -78,29 +79,25 @@ def scene_setup(scene: Scene) -> tuple[Setup, int]:
     return setup, substrate_quanta
 
 
-def run_cycles(scene: Scene) -> tuple[Setup, int]:
-    """Run all cycles of a scene, in memory only; collective. Returns what :func:`scene_setup` returns, at the end.
-
-    The same batches, order and seeds as ``f2s run``.
-    """
+def prepare(scene: Scene) -> tuple[Setup, BatchPlan]:
+    """Return the box of a scene with its substrate, and its batches. Collective; raises ``InputError``."""
     plan = mpi.run_together(make_batches, scene)
     setup = empty_setup(scene)
-    state, model, clock = setup.state, setup.model, setup.clock
-    paint_substrate(state, scene.domain.substrate_height, scene.substrate.temperature)
-    substrate_quanta = measure.material_quanta(state, model)
-    waiting = None
+    paint_substrate(setup.state, scene.domain.substrate_height, scene.substrate.temperature)
+    return setup, plan
+
+
+def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float], None]) -> None:
+    """Run all cycles of a scene as ``f2s run`` does, in memory only: the same batches, order, seeds and flight.
+
+    ``run``: called with the duration of each cycle (s) after its batch was put in, or launched. Collective.
+    """
+    clock = setup.clock
+    setup.supply = Supply(scene, plan, setup.state, setup.model, clock, setup.ledger)
     for cycle, duration in enumerate(scene.cycles.durations):
-        batch = plan.batches[plan.order[cycle]]
-        if waiting is not None:
-            batch = join([batch, waiting])
-        setup.report = paint_batch(
-            state, model, batch, scene.domain.layer_bottom, scene.particles.velocity, scene.particles.temperature,
-            setup.ledger, scene.batches.seed * 1000003 + cycle)
-        waiting = setup.report.deferred
-        clock.limits.put_in(scene.top_speed, model.dx)
-        setup.advance_to(duration)
+        setup.report, _ = setup.supply.insert(cycle)
+        run(duration)
         clock.cycle_start, clock.in_cycle = clock.cycle_start + duration, 0.0
-    return setup, substrate_quanta
 
 
 def cell_steps(setup: Setup) -> int:

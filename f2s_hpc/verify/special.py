@@ -12,7 +12,8 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles.insert import kinetic_quanta, paint_batch
 from f2s_hpc.fields import VELOCITY
-from f2s_hpc.verify.watch import FAILED, STABLE, Broken, Outcome, Watch, judge, prepare, run_cycles
+from f2s_hpc.verify.scenes import prepare, run_cycles
+from f2s_hpc.verify.watch import FAILED, STABLE, Broken, Outcome, Watch, judge
 
 NOISE = 0.1
 """Largest component of the random velocities (m/s) that must die out."""

@@ -115,7 +115,10 @@ def run(options: Options) -> Iterator[Measured]:
 CASES = (
     Case("taylor-bar",
          "Copper bar, 227 m/s, on a rigid frictionless wall, 80 us: final length and foot radius, and their history at "
-         "16 times (largest relative departure), against converged Lagrangian codes (Sierra/SM, Carina).",
+         "16 times (largest relative departure), against converged Lagrangian codes (Sierra/SM, Carina).\n"
+         "Not with the default numerics: speed_limit_factor and speed_cap_factor are 10, not 1.2 and 2, for the rim of "
+         "the foot is faster than any fragment of a spray; spall_pressure is 50 GPa, for the reference has no spall; "
+         "conduction is off.",
          run, (4.0, 6.0, 8.0), (8.0, 12.0, 16.0, 24.0),
          {"speed": "227 m/s", "radius": "3.2 mm", "length": "32.4 mm", "material": "copper-taylor"},
          {"speed": "speed", "radius": "length", "length": "length"}),

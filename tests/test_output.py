@@ -1,0 +1,160 @@
+"""The run folder: batches come back in their order, and what cannot be written stops all ranks alike, or is a note."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+from conftest import F2S, f2s, launch
+from test_cli import SCENE
+
+from f2s_hpc import mpi
+from f2s_hpc.config import load_scene
+from f2s_hpc.cycles import output
+from f2s_hpc.cycles.output import RunFolder
+from f2s_hpc.cycles.stop import StopRequest
+from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.io import layout, runs
+from f2s_hpc.particles.batch import Batch, BatchPlan
+
+
+def numbered_batches(count: int) -> list[Batch]:
+    """Return batches of one sphere each, told apart by x = number of the batch in um."""
+    return [Batch(np.array([number * 1e-6]), *(np.array([1e-5]),) * 3) for number in range(1, count + 1)]
+
+
+def saved_run(path, batches: int, order: list[int]) -> RunFolder:
+    """Return a folder with the input of a run of splat, one cycle for each of ``order``."""
+    folder = RunFolder(runs.prepare_run_folder(path), load_scene("splat", [f"cycles.count={len(order)}"]))
+    folder.write_input(BatchPlan(numbered_batches(batches), order))
+    return folder
+
+
+def numbers(plan: BatchPlan) -> list[int]:
+    return [round(1e6 * batch.x[0]) for batch in plan.batches]
+
+
+# --- batches ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_more_than_999_batches_come_back_in_their_order(tmp_path, named):
+    """Fails if the files are sorted as text: batch-1000 then comes before batch-101. Old folders do not name them."""
+    folder = saved_run(tmp_path / "run", 1002, [1001, 0, 100])
+    place = folder.path / output.BATCHES / output.ORDER
+    if not named:
+        place.write_text(json.dumps({"order": [1001, 0, 100]}) + "\n", encoding="utf-8")
+    plan = folder.read_plan()
+    assert numbers(plan) == list(range(1, 1003))
+    assert plan.order == [1001, 0, 100]
+
+
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("lost", [2, 3])
+def test_a_lost_batch_is_named(tmp_path, named, lost):
+    """Fails if the batches that are left take the places of those that are not."""
+    folder = saved_run(tmp_path / "run", 3, [2, 0])
+    if not named:
+        (folder.path / output.BATCHES / output.ORDER).write_text('{"order": [2, 0]}', encoding="utf-8")
+    path = folder.path / output.BATCHES / f"batch-{lost:03d}.csv"
+    path.unlink()
+    with pytest.raises(InputError) as caught:
+        folder.read_plan()
+    assert str(caught.value).startswith(f"{path}: no such file")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("text", "words"), [
+    ('{"order": []}', '"order" must be a list'), ("[0]", '"order" must be a list'), ("{", "not JSON"),
+    ('{"order": ["0", "1"]}', '"order" must be a list'), ('{"order": [0]}', "of 1 cycles, but the run has 2"),
+    ('{"order": [0, 7], "batches": ["batch-001.csv"]}', "holds 1 batches, order.json asks for 8"),
+    ('{"order": [0, 0], "batches": ["../x.csv"]}', '"batches" must be a list of files')])
+def test_a_damaged_order_is_one_line_on_every_rank(shared_path, text, words):
+    """Fails if an empty or foreign order passes for one (``max`` of nothing), or raises on rank 0 only."""
+    folder = saved_run(shared_path / "run", 1, [0, 0])
+    if mpi.is_root():
+        (folder.path / output.BATCHES / output.ORDER).write_text(text, encoding="utf-8")
+    mpi.barrier()
+    with pytest.raises(InputError) as caught:
+        folder.read_plan()
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- what cannot be written ---------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_input_that_cannot_be_written_ends_all_ranks_and_leaves_no_folder(shared_path, monkeypatch):
+    """Fails if the error is raised on rank 0 only (the others wait in a barrier), or if a half-made folder stays."""
+    plain = output.write_csv
+
+    def full(path, batch) -> None:
+        if path.name == "batch-002.csv":
+            raise InputError(f"{path}: cannot be written (No space left on device)")
+        plain(path, batch)
+
+    monkeypatch.setattr(output, "write_csv", full)
+    with pytest.raises(InputError, match=r"batch-002\.csv: cannot be written \(No space left"):
+        saved_run(shared_path / "run", 3, [0, 1, 2])
+    assert not (shared_path / "run").exists()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("status", ["running", "failed", "complete", "timeout"])
+def test_tables_that_cannot_be_written_cost_no_checkpoint(shared_path, capsys, status):
+    """Before the end a note, so that the cycle's checkpoint follows; at the end one error for all ranks.
+
+    Fails if an ``OSError`` leaves ``write_tables``, or on rank 0 only.
+    """
+    folder = RunFolder(runs.prepare_run_folder(shared_path / "run"), load_scene("splat"))
+    if mpi.is_root():
+        (folder.path / layout.SUMMARY_JSON).mkdir()
+    mpi.barrier()
+    if status in ("running", "failed"):
+        folder.write_tables([{"cycle": 1}], {"status": status})
+        said = capsys.readouterr().out.splitlines()
+        assert len(said) == int(mpi.is_root())
+        assert all("the cycle table cannot be written" in line for line in said)
+    else:
+        with pytest.raises(F2SError, match="the cycle table cannot be written"):
+            folder.write_tables([{"cycle": 1}], {"status": status})
+    mpi.barrier()
+    assert not list(folder.path.glob(".*"))
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_run_resumed_with_more_fields_than_its_frames_ends_without_a_picture(tmp_path, ranks):
+    """Fails if what the newest frame lacks raises on rank 0 only: rank 1 then waits in the barrier for ever."""
+    (tmp_path / "two.toml").write_text(SCENE, encoding="utf-8")
+    f2s("run", "two.toml", "--out", "run", "--set", "cycles.duration=2 ns", "--set",
+        'output.fields=["volume_fraction"]', cwd=tmp_path)
+    done = launch([*F2S, "resume", "run", "--set", 'output.fields=["volume_fraction","peeq","temperature","speed"]'],
+                  ranks, tmp_path, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    notes = [line for line in done.stdout.splitlines() if line.startswith("note: no picture; ")]
+    assert len(notes) == 1
+    assert "no field 'peeq'; it holds volume_fraction" in notes[0]
+
+
+# --- why a run stops ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.mpi
+def test_a_signal_to_any_rank_is_the_reason_on_all():
+    """Fails if rank 0 looks at its own signal only: it then blames the wall-time budget."""
+    before = [signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM)]
+    try:
+        stop = StopRequest(None)
+        if mpi.rank() == mpi.size() - 1:
+            os.kill(os.getpid(), signal.SIGUSR1)
+        mpi.barrier()
+        assert stop.reason() == "signal SIGUSR1"
+        assert StopRequest(1e-9).reason() == "the wall-time budget is spent"
+    finally:
+        for number, handler in zip((signal.SIGUSR1, signal.SIGTERM), before):
+            signal.signal(number, handler)
