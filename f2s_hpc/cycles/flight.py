@@ -221,7 +221,7 @@ class Flight:
         self.velocity = np.array(saved["velocity"], dtype=float).reshape(-1, 3)
         self.start = np.array(saved["start"], dtype=float)
         self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)
-        self.calls, self.raised = saved["calls"], saved.get("raised", 0)
+        self.calls, self.raised = saved["calls"], saved["raised"]
 
     def take_inside(self, time: float) -> tuple[Batch, tuple[float, float, float]] | None:
         """Take the spheres that lie inside the box at ``time`` (s) out of the flight, where they are.

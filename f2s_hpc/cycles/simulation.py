@@ -100,7 +100,7 @@ class Simulation:
             setattr(clock, name, value)
         for name, value in saved["limits"].items():
             setattr(clock.limits, name, value)
-        asleep = saved.get("sleep", {"floor": 0, "since": 0.0})  # checkpoints were written before there was sleep
+        asleep = saved["sleep"]
         clock.sleep.since = asleep["since"]
         if asleep["floor"]:
             self.state.set_floor(asleep["floor"])

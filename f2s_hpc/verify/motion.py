@@ -15,6 +15,7 @@ from f2s_hpc.materials.flow_stress import flow_stress
 from f2s_hpc.solver import lagrange
 from f2s_hpc.solver.model import Model
 from f2s_hpc.solver.remap import remap_all
+from f2s_hpc.state import State
 from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import (
     ALL_SYMMETRY,
@@ -90,12 +91,16 @@ def _fly(model: Model, direction: np.ndarray, diameter: float, options: Options)
     return setup, mpi.maximum(np.array(changes, dtype=float))
 
 
+def _owned_centres(state: State) -> list[np.ndarray]:
+    """Return x, y, z (in cells) of the centres of this rank's own cells, each [k, j, i]."""
+    return [np.broadcast_to(c, state.part.cell_shape)[state.part.owned_cells] for c in cell_coordinates(state)]
+
+
 def _centroid(setup: Setup) -> np.ndarray:
     """Return the centre of mass of all material (x, y, z in cells)."""
     state = setup.state
     mass = state.owned("mass")
-    places = (np.broadcast_to(c, state.part.cell_shape)[state.part.owned_cells] for c in cell_coordinates(state))
-    total, *moments = sample.sums([mass.sum(), *((mass * place).sum() for place in places)])
+    total, *moments = sample.sums([mass.sum(), *((mass * place).sum() for place in _owned_centres(state))])
     return np.array(moments) / total
 
 
@@ -180,8 +185,7 @@ def _off_turned(setup: Setup, width: int, amplitude: float, angle: float) -> np.
     """
     state = setup.state
     box = state.part.box.cells[0]
-    x, y, _ = (np.broadcast_to(c - 0.5 * box, state.part.cell_shape)[state.part.owned_cells]
-               for c in cell_coordinates(state))
+    x, y, _ = (c - 0.5 * box for c in _owned_centres(state))
     cosine, sine = math.cos(angle), math.sin(angle)
     # where this material was
     x, y = cosine * x + sine * y, cosine * y - sine * x

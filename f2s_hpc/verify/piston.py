@@ -12,7 +12,6 @@ from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.derived import cell_pressure
 from f2s_hpc.materials.params import LinearHardening, MieGrueneisen
 from f2s_hpc.solver.model import Model
-from f2s_hpc.solver.step import advance
 from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import (
     ALL_SYMMETRY,
@@ -138,7 +137,7 @@ def _largest_stress_until(setup: Setup, end: float, cells: int) -> float:
     """Step to the time ``end`` (s); return the largest stress (Pa) in the block after any remap on the way."""
     clock, largest = setup.clock, 0.0
     while clock.in_cycle < end * (1.0 - 1e-12):
-        advance(setup.state, setup.model, clock, setup.ledger, end)
+        setup.step(end)
         largest = max(largest, float(_profiles(setup)[0][:cells].max()))
     return largest
 
