@@ -137,6 +137,28 @@ def test_spheres_that_would_overfill_cells_are_raised_with_what_is_above_them(se
     assert added == pytest.approx(arrived.count * 4.0 / 3.0 * np.pi * r**3, rel=1e-9, abs=0.0)
 
 
+def test_spheres_that_fit_one_by_one_but_not_together_are_raised(setup):
+    """A cell that is 30 % full, and 47 % of it in each of two spheres in touch; without ``added`` it would hold 1.24.
+
+    Fails if ``fullest_cells`` looks at each sphere alone.
+    """
+    state, at = setup.state, 10.5 * DX
+    k, j, i = (n - o for n, o in zip((20, 10, 10), state.part.offset[::-1]))
+    if all(0 <= a < n for a, n in zip((k, j, i), state.part.cell_shape)):
+        state.views["mass"][k, j, i] = state.views["volume_fraction"][k, j, i] = 0.3
+    state.settle()
+    setup.activate()
+    flight = Flight(DX, state.part.box.extents)
+    r = 9e-6
+    batch = spheres((at - r, at, 90e-6, r), (at + r, at, 90e-6, r))
+    flight.launch(state, batch, DOWN, 0.0)
+    flight.spheres.z[:] = 20.5 * DX
+    arrived, _ = flight.arrivals(state, 1e-12, 1e-12)
+    assert arrived.count == flight.raised == 2
+    paint_arrivals(state, setup.model, (arrived, DOWN), 700.0, setup.ledger)
+    assert mpi.maximum(np.float64(state.owned("mass").max())) <= OVERFILL
+
+
 def test_a_faster_sphere_meets_a_slower_one_when_their_gap_is_two_reaches(setup):
     """|p + w t| = r_1 + r_2 + 2 reach in closed form; fails if the later root is taken, or one radius only."""
     flight = Flight(DX, setup.state.part.box.extents)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import pathlib
 import re
@@ -131,12 +132,22 @@ def test_resumed_on_another_number_of_ranks_it_ends_in_the_same_bits(stopped_twi
     """
     copy = tmp_path / "copy"
     shutil.copytree(stopped_twice, copy)
+    # as a session leaves it that went on past its last checkpoint and was killed
+    frames = [copy / layout.FRAMES / layout.frame_name(number) for number in (0, 90)]
+    shutil.copy(*frames)
     said = f2s("resume", copy, ranks=3, cwd=tmp_path).stdout
-    steps = runs.read_summary(stopped_twice)["steps"]
+    assert [path.exists() for path in frames] == [True, False]
+    before = runs.read_summary(stopped_twice)
+    steps = before["steps"]
     assert f"_step_{steps:08d}.h5" in said
     summary = runs.read_summary(copy)
     assert summary["status"] == "complete"
     assert summary["ranks"] == 3
+    # time and memory are those of all sessions
+    assert summary["wall_s"] > before["wall_s"]
+    assert summary["peak_memory_bytes"] >= before["peak_memory_bytes"]
+    rate = summary["active_cell_steps"] / summary["wall_s"]
+    assert math.isclose(summary["active_cell_steps_per_s"], rate, rel_tol=0.02)
     assert "identical in every saved bit" in f2s("compare", never_stopped, copy, "--exact", cwd=tmp_path).stdout
 
 
@@ -190,6 +201,19 @@ def test_a_used_folder_is_refused(never_stopped):
     assert len(done.stderr.splitlines()) == 1
     assert "f2s resume" in done.stderr
     assert before == {path: path.stat().st_mtime_ns for path in never_stopped.rglob("*")}
+
+
+def test_a_folder_that_another_run_is_at_work_in_is_refused(stopped_twice, tmp_path):
+    """Fails if ``tasks.resume`` does not take ``runs.hold``: two runs would write one folder."""
+    copy = tmp_path / "copy"
+    shutil.copytree(stopped_twice, copy)
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
+    with runs.hold(copy):
+        done = f2s("resume", copy, cwd=tmp_path, ranks=2, code=2)
+    assert done.stderr.count("another run is at work") == 1
+    assert before == {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
+    with runs.hold(copy):  # nothing is left of the lock
+        pass
 
 
 def test_resume_refuses_what_would_change_the_result(never_stopped):

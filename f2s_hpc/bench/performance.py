@@ -9,9 +9,8 @@ import tomllib
 from collections.abc import Sequence
 
 from f2s_hpc.bench import launch
-from f2s_hpc.cycles.output import SCENE_FILE
 from f2s_hpc.errors import F2SError
-from f2s_hpc.io import runs
+from f2s_hpc.io import layout, runs
 
 QUIET = ("output.frames=none", "output.checkpoints=false", "output.picture=false")
 
@@ -26,7 +25,7 @@ PEERS_SPLAT = (
 def read_scene_text(folder: pathlib.Path) -> dict:
     """Return the scene of a run folder as it is written there; raises ``F2SError`` if there is none."""
     try:
-        return tomllib.loads((folder / SCENE_FILE).read_text(encoding="utf-8"))
+        return tomllib.loads((folder / layout.SCENE_FILE).read_text(encoding="utf-8"))
     except OSError as error:
         raise F2SError(f"{folder}: no run to read ({error.strerror})") from None
 

@@ -91,7 +91,8 @@ def run(scene: Scene, out: str) -> int:
     _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
          f"{1e6 * scene.domain.cell_size:g} um on {mpi.size()} rank{'s' if mpi.size() > 1 else ''}, into {folder}")
     simulation.begin()
-    return _finish(simulation, folder)
+    with runs.hold(folder):
+        return _finish(simulation, folder)
 
 
 def decomposition_fits(scene: Scene) -> None:
@@ -109,6 +110,11 @@ def resume(folder: str, overrides: list[str]) -> int:
         if text.split(".")[0] not in ("run", "output"):
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections')
     mpi.run_together(_check_folder, folder)
+    with runs.hold(folder):
+        return _resume(folder, overrides)
+
+
+def _resume(folder: str, overrides: list[str]) -> int:
     path, skipped = checkpoint.newest_valid_checkpoint(pathlib.Path(folder) / layout.CHECKPOINTS)
     for message in skipped:
         _say(message)

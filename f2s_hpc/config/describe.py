@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from f2s_hpc import fields
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
@@ -23,9 +25,14 @@ def estimated_time_step(scene: Scene) -> float:
 
 def frame_count(scene: Scene) -> int:
     """Return the number of frames that a whole run writes: after each cycle, and at the extra interval."""
-    after_cycles = scene.cycles.count if scene.output.frames == "cycle" else 0
     interval = scene.output.frame_interval
-    return after_cycles + (math.floor(scene.cycles.total_time / interval) if interval else 0)
+    between = math.floor(scene.cycles.total_time / interval + 1e-9) if interval else 0
+    if scene.output.frames != "cycle":
+        return between
+    ends = np.cumsum(scene.cycles.durations)
+    if interval:  # one that falls on the end of a cycle is that cycle's own
+        between -= int((abs(ends - np.rint(ends / interval) * interval) < 1e-9 * interval).sum())
+    return len(ends) + between
 
 
 def frame_bytes(scene: Scene) -> int:

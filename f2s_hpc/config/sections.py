@@ -236,11 +236,13 @@ class Numerics(Section):
     # what the floor withholds from a node its cells have stored already: measured, energy grows from 0.15 on
     light_mass_floor: Number = Field(default=0.005, gt=0, le=0.1,
                                      description="least mass that divides a force, over a full node's mass")
-    speed_limit_factor: Number = Field(
-        default=1.2, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
-                                        "its neighbours")
-    speed_cap_factor: Number = Field(default=2.0, ge=1,
-                                     description="speed cap of light nodes over the largest particle speed")
+    speed_limit_factor: Number | None = Field(
+        default=None, ge=1, description="speed, over the particles' own, beyond which any node exchanges momentum with "
+                                        "its neighbours; by default 1.2, but 3 where the median particle has 12 cells "
+                                        "or more to its diameter, since jets are resolved there")
+    speed_cap_factor: Number | None = Field(
+        default=None, ge=1, description="speed cap of light nodes over the largest particle speed; by default 2, but 4 "
+                                        "where jets are resolved")
     # its static stiffness: waves shorter than a quarter of it come back with under 2 %
     absorbing_depth: PositiveLength = Field(
         default=0.5e-3, description="depth of the material that stands behind an absorbing side, m")

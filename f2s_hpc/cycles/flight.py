@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.cycles.insert import OVERFILL, shareable_volume
+from f2s_hpc.cycles.insert import OVERFILL, fullest_cells, shareable_volume
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.kernels import paint
@@ -89,13 +89,10 @@ class Flight:
         batch = batch.chosen(slice(None))
         raised = np.zeros(batch.count, dtype=np.bool_)
         settled = np.zeros(batch.count, dtype=np.bool_)
-        shareable = shareable_volume(self.dx)
+        nobody, shareable = np.zeros(batch.count, dtype=np.bool_), shareable_volume(self.dx)
         while not settled.all():
             waiting = ~settled
-            overlap = np.zeros(batch.count)
-            paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, waiting, state.part.offset, self.dx,
-                                  state.owned_window(), state.views["mass"], overlap)
-            hit = mpi.maximum(overlap) > 0.0
+            hit = fullest_cells(state, batch, waiting, nobody) > 0.0
             paint.spheres_meet(batch.x, batch.y, batch.z, batch.r, waiting & ~hit, flying.x, flying.y, flying.z,
                                flying.r, hit)
             settle_in_order(batch.x, batch.y, batch.z, batch.r, shareable, settled, hit)
@@ -169,10 +166,7 @@ class Flight:
         """
         before, crowded = now.z.copy(), chosen.copy()
         while True:
-            overlap = np.zeros(self.count)
-            paint.sphere_overlaps(now.x, now.y, now.z, now.r, crowded, state.part.offset, self.dx,
-                                  state.owned_window(), state.views["mass"], overlap)
-            crowded &= mpi.maximum(overlap) > OVERFILL
+            crowded &= fullest_cells(state, now, crowded, chosen) > OVERFILL
             if not crowded.any():
                 break
             now.z[crowded] += CLEARANCE * self.dx

@@ -75,10 +75,16 @@ def paint_substrate(state: State, height: float, temperature: float) -> None:
     state.settle()
 
 
-def _overlaps(state: State, batch: Batch, chosen: np.ndarray) -> np.ndarray:
-    overlap = np.zeros(batch.count)
-    paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, chosen, state.part.offset, state.part.box.dx,
-                          state.owned_window(), state.views["mass"], overlap)
+def fullest_cells(state: State, batch: Batch, tested: np.ndarray, put_in: np.ndarray) -> np.ndarray:
+    """Return the mass of the fullest cell of each ``tested`` sphere with the spheres ``put_in`` (both bool) in it too.
+
+    Cells without material of today do not count: a sphere in free space has 0. Collective.
+    """
+    added, overlap = sparse_zeros(state.part.cell_shape), np.zeros(batch.count)
+    shares = batch.chosen(put_in)
+    paint.add_spheres(shares.x, shares.y, shares.z, shares.r, state.part.offset, state.part.box.dx, added)
+    paint.sphere_overlaps(batch.x, batch.y, batch.z, batch.r, tested, state.part.offset, state.part.box.dx,
+                          state.owned_window(), state.views["mass"], added, overlap)
     return mpi.maximum(overlap)
 
 
@@ -123,7 +129,8 @@ def _free_places(state: State, batch: Batch, layer: tuple[float, float], seed: i
     generator = np.random.Generator(np.random.PCG64(seed))
     wanted = batch
     batch = batch.chosen(slice(None))
-    overlapping = _overlaps(state, batch, np.ones(batch.count, dtype=np.bool_)) > OVERFILL
+    everyone = np.ones(batch.count, dtype=np.bool_)
+    overlapping = fullest_cells(state, batch, everyone, everyone) > OVERFILL
     # what material moves anyway makes no other sphere move
     settle_in_order(batch.x, batch.y, batch.z, batch.r, shareable_volume(dx), np.zeros_like(overlapping), overlapping)
     for attempt in range(ROUNDS):
@@ -137,7 +144,7 @@ def _free_places(state: State, batch: Batch, layer: tuple[float, float], seed: i
             batch.x[index], batch.y[index], batch.z[index] = place or before
             proposed[index] = place is not None
         # a proposal that still overlaps is replaced in the next round
-        overlapping = (_overlaps(state, batch, proposed) > OVERFILL) | (overlapping & ~proposed)
+        overlapping = (fullest_cells(state, batch, proposed, everyone) > OVERFILL) | (overlapping & ~proposed)
     return batch, overlapping
 
 

@@ -30,7 +30,6 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 PICTURE = "deposit.png"
-SCENE_FILE = "scene.toml"
 BATCHES, ORDER = "batches", "order.json"
 BATCH_NAME = re.compile(r"batch-(\d+)\.csv")
 PICTURE_FIELDS = ("volume_fraction", "peeq", "temperature", "speed")
@@ -59,7 +58,7 @@ class RunFolder:
         Raises ``InputError`` on all ranks, and takes the new folder away again, when they cannot be written.
         """
         def write() -> None:
-            layout.write_text_file(self.path / SCENE_FILE, dump_scene(self.scene))
+            layout.write_text_file(self.path / layout.SCENE_FILE, dump_scene(self.scene))
             folder = self.path / BATCHES
             folder.mkdir()
             names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
@@ -79,7 +78,7 @@ class RunFolder:
         """Remove what a run that could not begin has made: else its folder would pass for one that holds a run."""
         shutil.rmtree(self.path / BATCHES, ignore_errors=True)
         with contextlib.suppress(OSError):
-            (self.path / SCENE_FILE).unlink(missing_ok=True)
+            (self.path / layout.SCENE_FILE).unlink(missing_ok=True)
         for folder in (self.path / layout.CHECKPOINTS, self.path / layout.FRAMES, self.path):
             with contextlib.suppress(OSError):
                 folder.rmdir()
@@ -107,6 +106,8 @@ class RunFolder:
         blocks = [_block(state, name, measure.derived_field(state, model, name), measure.location(name) != CELL)
                   for name in self.scene.output.fields]
         folder = self.path / layout.FRAMES
+        # a resumed run writes anew what had come after its checkpoint, maybe at other times
+        layout.attempt_on_root(lambda: runs.drop_frames_after(self.path, number), f"{folder}: cannot be tidied")
         vtkhdf.write_frame(folder, number, time, blocks, (0.0, 0.0, 0.0), (model.dx,) * 3,
                            self.provenance() | {"cycle": cycle, "ends_cycle": ends_cycle})
         return vtkhdf.update_index(folder)
@@ -169,9 +170,9 @@ class RunFolder:
             raise F2SError(f"{self.path / layout.FRAMES} holds no frame")
         # (an older run may have been resumed with other fields than its frames have)
         fields, _ = runs.open_frame(self.path, numbers[-1], PICTURE_FIELDS)
-        domain = self.scene.domain
+        domain, flying = self.scene.domain, summary.get("particles_in_flight", 0)
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
-                     f"{summary['particles']} particles, {1e6 * summary['time_s']:.2f} us, dense height "
+                     f"{summary['particles'] - flying} particles, {1e6 * summary['time_s']:.2f} us, dense height "
                      f"{1e6 * summary['dense_height_m']:.1f} um, cells of {1e6 * domain.cell_size:g} um", path,
                      slow_speed=measure.SLOW * self.scene.top_speed)
 

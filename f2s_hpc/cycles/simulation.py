@@ -57,8 +57,8 @@ class Simulation:
         self.frame = 0
         self.intervals = 0  # frame intervals that have gone by
         self.substrate_quanta = 0
-        self.active_before = 0
         self.active_at_start_of_cycle = 0
+        self.spent = {"wall_s": 0.0, "peak_memory_bytes_per_rank": 0, "peak_memory_bytes": 0}  # before it was resumed
         self.progress = Progress(False, 1.0, 0.0, 1.0)
         self.status = RUNNING
         self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the first step
@@ -111,6 +111,7 @@ class Simulation:
         self.cycle, self.batch_is_in = saved["cycle"], saved["batch_is_in"]
         self.supply.restore(saved)
         self.rows, self.frame = saved["rows"], saved["frame"]
+        self.spent |= saved.get("spent", {})
         self.intervals = self._intervals()
         self.substrate_quanta = int(saved["substrate_quanta"])
 
@@ -129,7 +130,7 @@ class Simulation:
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
-            "rows": self.rows, "frame": self.frame,
+            "rows": self.rows, "frame": self.frame, "spent": self._spent(),
             "substrate_quanta": str(self.substrate_quanta),
         }
 
@@ -145,7 +146,6 @@ class Simulation:
                                  scene.output.progress_seconds, mpi.launched_by_mpirun())
         for message in self.plan.messages:
             self.progress.say(f"note: {message}")
-        self.active_before = int(mpi.total(np.int64(self.clock.active_cell_steps)))
         try:
             while self.cycle < scene.cycles.count:
                 if not self._run_cycle():
@@ -255,7 +255,6 @@ class Simulation:
 
     def _row(self) -> dict:
         clock, scene = self.clock, self.scene
-        memory = mpi.all_gather(measure.peak_memory())
         row = {
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
             "dt_limit": clock.limit, **self.supply.row()}
@@ -264,21 +263,27 @@ class Simulation:
         if self.tracers is not None:
             row |= self.tracers.census(self.state)
         active = int(mpi.total(np.int64(clock.active_cell_steps)))
-        wall = float(mpi.broadcast(self.stop.elapsed()))
+        spent = self._spent()
         loads = mpi.all_gather(clock.active_cell_steps - self.active_at_start_of_cycle)
         row |= {
             "speed_max_heavy_m_s": float(mpi.maximum(clock.fastest_heavy)),
             "active_cells": int(mpi.total(np.int64(self.state.active_cells()))), "active_cell_steps": active,
             "imbalance": max(loads) * len(loads) / max(sum(loads), 1),
-            "wall_s": wall, "active_cell_steps_per_s": (active - self.active_before) / max(wall, 1e-9),
-            "peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
+            "active_cell_steps_per_s": active / max(spent["wall_s"], 1e-9), **spent}
         return row
+
+    def _spent(self) -> dict:
+        """Return wall time and peak memory of the whole run, with what it had spent before it was resumed."""
+        memory, before = mpi.all_gather(measure.peak_memory()), self.spent
+        return {"wall_s": before["wall_s"] + float(mpi.broadcast(self.stop.elapsed())),
+                "peak_memory_bytes_per_rank": max(before["peak_memory_bytes_per_rank"], *memory),
+                "peak_memory_bytes": max(before["peak_memory_bytes"], sum(memory))}
 
     def summary(self) -> dict:
         """Return ``summary.json``: the last row of the cycle table, or the present state, and the run as a whole."""
         row = self.rows[-1] if self.rows and not self.batch_is_in else self._row()
-        memory = mpi.all_gather(measure.peak_memory())  # the frame after the last row may have been the largest
-        row = row | {"peak_memory_bytes_per_rank": max(memory), "peak_memory_bytes": sum(memory)}
+        # the frame after the last row may have taken most memory
+        row = row | {name: value for name, value in self._spent().items() if name != "wall_s"}
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         age, memory = self.startup or (measure.process_age(), measure.peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}

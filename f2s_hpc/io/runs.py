@@ -1,20 +1,23 @@
 """A run's folder: made once, and read back serially for analysis, pictures and comparison.
 
-Apart from ``prepare_run_folder`` nothing here needs MPI: the readers work on a laptop from the files.
+Apart from ``prepare_run_folder`` and ``hold`` nothing here needs MPI: the readers work on a laptop from the files.
 """
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import fcntl
 import json
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import h5py
 import numpy as np
 
+from f2s_hpc import mpi
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.io import layout
 from f2s_hpc.io.manifest import manifest_path, read_manifest, text_digest
@@ -53,11 +56,45 @@ def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
                          ", without a checkpoint to continue from; remove it, or")
                 raise InputError(f"{path}: holds a run already{go_on} start a new one in another folder with --out")
             raise InputError(f"{path}: is not empty; name a new or empty folder with --out")
-        for folder in (path / layout.CHECKPOINTS, path / layout.FRAMES):
-            folder.mkdir(parents=True, exist_ok=True)
+        path.mkdir(parents=True, exist_ok=True)
+        try:
+            (path / layout.CHECKPOINTS).mkdir()
+        except FileExistsError:
+            raise InputError(f"{path}: another run has begun in it just now; name a new folder with --out") from None
+        (path / layout.FRAMES).mkdir()
 
     layout.attempt_on_root(make, f"{path}: cannot be made", InputError)
     return path
+
+
+@contextlib.contextmanager
+def hold(path: str | os.PathLike) -> Iterator[None]:
+    """Keep other runs out of the folder ``path`` meanwhile; collective. The lock is on the scene that it holds.
+
+    Raises ``InputError`` on all ranks when another process holds it. A file system without locks has none.
+    """
+    place = pathlib.Path(path) / layout.SCENE_FILE
+
+    def lock() -> int | None:
+        try:
+            file = os.open(place, os.O_RDWR)
+        except OSError:  # (not ours to write, or gone: a checkpoint is enough to go on)
+            return None
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            raise InputError(f"{path}: another run is at work in it; wait for its end, or stop it") from None
+        except OSError:  # (no locks on this file system)
+            pass
+        return file
+
+    held = layout.attempt_together(lambda: lock() if mpi.is_root() else None, f"{path}: cannot be locked", InputError)
+    try:
+        yield
+    finally:
+        if held is not None:
+            os.close(held)
 
 
 def _has_checkpoint(path: pathlib.Path) -> bool:
@@ -103,6 +140,13 @@ def list_frames(folder: str | os.PathLike, frames: str = layout.FRAMES) -> list[
         return []
     matches = (layout.FRAME_NAME.fullmatch(path.name) for path in place.iterdir())
     return sorted(int(match[1]) for match in matches if match is not None)
+
+
+def drop_frames_after(folder: str | os.PathLike, number: int) -> None:
+    """Remove the frames of the run folder ``folder`` that come after ``number``."""
+    for later in list_frames(folder):
+        if later > number:
+            (pathlib.Path(folder) / layout.FRAMES / layout.frame_name(later)).unlink()
 
 
 def _meta(file: h5py.File) -> FrameMeta:

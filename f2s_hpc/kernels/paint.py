@@ -11,11 +11,11 @@ from f2s_hpc.kernels.sphere import sphere_bounds, sphere_volume_fractions
 
 
 @kernel
-def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, overlap):
-    """Largest mass that a cell of ``window`` would hold if each chosen sphere alone were added to it.
+def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, added, overlap):
+    """Largest mass that a cell of ``window`` would hold with ``added`` in it, of those that a chosen sphere is in.
 
     ``x, y, z, r``: spheres (m); ``offset``: global index (i, j, k) of local cell 0; ``window``:
-    (k0, k1, j0, j1, i0, i1) local; ``mass``: 3-D local array; ``overlap[s]`` is raised to the result, in full cells.
+    (k0, k1, j0, j1, i0, i1) local; ``mass``, ``added``: 3-D local arrays; ``overlap[s]`` is raised to the result, in full cells.
     Cells without material do not count, so a sphere in free space has overlap 0.
     """
     k0, k1, j0, j1, i0, i1 = window
@@ -32,10 +32,9 @@ def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, overlap):
         for k in range(c0, c1):
             for j in range(b0, b1):
                 for i in range(a0, a1):
-                    there = mass[k - offset[2], j - offset[1], i - offset[0]]
-                    f = share[k - c0, j - b0, i - a0]
-                    if there > 0.0 and f > 0.0:
-                        overlap[s] = max(overlap[s], there + f)
+                    cell = (k - offset[2], j - offset[1], i - offset[0])
+                    if mass[cell] > 0.0 and share[k - c0, j - b0, i - a0] > 0.0:
+                        overlap[s] = max(overlap[s], mass[cell] + added[cell])
 
 
 @kernel

@@ -8,6 +8,7 @@ from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
 from f2s_hpc.verify import (
     absorbing,
+    against_lagrangian,
     contact,
     deposit,
     heat,
@@ -33,6 +34,7 @@ MODULES = (
     vof,
     taylor,
     impact,
+    against_lagrangian,
     deposit,
     contact,
 )

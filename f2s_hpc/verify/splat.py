@@ -27,7 +27,8 @@ _FACES = {"x_low": "symmetry", "y_low": "symmetry"}
 class Impact:
     """What is shot at what: material name, diameter (m), speed (m/s), temperatures (K), simulated time (s).
 
-    ``half_width``, ``depth``: quarter's width and substrate's depth in diameters. The sphere touches the surface.
+    ``half_width``, ``depth``: quarter's width and substrate's depth in diameters; depth 0: a mirror instead of a
+    substrate. The sphere touches the surface.
     """
 
     material: str
@@ -41,7 +42,7 @@ class Impact:
 
 @dataclass(frozen=True)
 class Splat:
-    """What a particle became: lengths in m, PEEQ percentile, energy balance, settings of the scheme, cost.
+    """What a particle became: lengths in m, PEEQ (percentile, mean), energy balance, settings of the scheme, cost.
 
     ``height``, ``width``: axes 2 sqrt(5) sigma of the ellipsoid with the particle's second moments; ``height_start``:
     the same before impact; ``crater``: depth of the interface between particle and substrate below the surface, on
@@ -54,6 +55,7 @@ class Splat:
     width: float
     crater: float
     peeq_p95: float
+    peeq_mean: float
     balance: dict
     settings: Settings
     steps: int
@@ -83,16 +85,17 @@ def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = 
     dx, radius = impact.diameter / cells_per_diameter, 0.5 * impact.diameter
     wide, deep = math.ceil(impact.half_width * cells_per_diameter), math.ceil(impact.depth * cells_per_diameter)
     above = math.ceil(1.5 * cells_per_diameter)  # room for the rim, which rises beside the sphere
+    faces = _FACES if deep else _FACES | {"z_low": "symmetry"}
     scene = write_scene((wide, wide, deep + above), dx, impact.material, impact.speed, impact.duration,
                         spheres=[(0.0, 0.0, radius, radius)], substrate=deep, temperature=impact.temperature,
-                        faces=_FACES, overrides=("output.origin=true", *overrides))
+                        faces=faces, overrides=("output.origin=true", *overrides))
     setup, substrate_quanta = scene_setup(scene)
     height_start, _ = _axes(setup)
     setup.advance_to(impact.duration)
     height, width = _axes(setup)
     balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
-    return Splat(dx, height_start, height, width, deep * dx - _interface(setup), _peeq_p95(setup), balance,
-                 setup.model.settings, setup.clock.steps, cell_steps(setup), watch.read())
+    return Splat(dx, height_start, height, width, deep * dx - _interface(setup), _peeq_p95(setup), _peeq_mean(setup),
+                 balance, setup.model.settings, setup.clock.steps, cell_steps(setup), watch.read())
 
 
 def _particle_mass(setup: Setup) -> np.ndarray:
@@ -132,3 +135,10 @@ def _peeq_p95(setup: Setup) -> float:
     mass = _particle_mass(setup)
     mostly = setup.state.owned(ORIGIN) > 0.5
     return measure.percentiles(setup.state.owned("peeq")[mostly], mass[mostly], (0.95,))[0]
+
+
+def _peeq_mean(setup: Setup) -> float:
+    """Return the mean PEEQ of the particle's mass."""
+    mass = _particle_mass(setup)
+    strained, whole = sum(mpi.all_gather(np.array([(mass * setup.state.owned("peeq")).sum(), mass.sum()])))
+    return float(strained / whole)
