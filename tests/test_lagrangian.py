@@ -21,7 +21,7 @@ JC = JohnsonCook(90e6, 292e6, 0.31, 0.025, 1.09, 1.0, 298.0, 1356.15)
 
 @pytest.mark.parametrize("on_block", [False, True])
 def test_the_mesh_is_a_sphere(on_block):
-    """Volume and inertia of the sphere; fails if the ring of cells is left out, or one cell lies the wrong way round."""
+    """Volume and inertia of the sphere; fails if a cell of the ring is left out, or lies the wrong way round."""
     mesh = lagrangian.make_mesh(32.0, D, on_block)
     volume = np.array([lagrangian._volume(mesh.r, mesh.z, quad) for quad in mesh.quads])
     assert (volume > 0.0).all()
@@ -52,7 +52,10 @@ def test_every_joule_is_accounted_for(on_block):
 
 
 def test_stress_turns_with_the_material():
-    """An eighth of a turn, far from the axis, makes tension along r and pressure along z into shear; fails if ``turn`` has the other sign."""
+    """An eighth of a turn, far from the axis, makes tension along r and pressure along z into shear.
+
+    Fails if ``turn`` has the other sign.
+    """
     turn, steps, omega, centre = 0.25 * math.pi, 400, 1e6, 1.0
     angles = np.radians([225.0, 315.0, 45.0, 135.0])
     quads, stress = np.array([[0, 1, 2, 3]]), np.array([[1e6, -1e6, 0.0, 0.0]])

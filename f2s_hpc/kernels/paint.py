@@ -15,7 +15,8 @@ def sphere_overlaps(x, y, z, r, chosen, offset, dx, window, mass, added, overlap
     """Largest mass that a cell of ``window`` would hold with ``added`` in it, of those that a chosen sphere is in.
 
     ``x, y, z, r``: spheres (m); ``offset``: global index (i, j, k) of local cell 0; ``window``:
-    (k0, k1, j0, j1, i0, i1) local; ``mass``, ``added``: 3-D local arrays; ``overlap[s]`` is raised to the result, in full cells.
+    (k0, k1, j0, j1, i0, i1) local; ``mass``, ``added``: 3-D local arrays; ``overlap[s]`` is raised to the result, in
+    full cells.
     Cells without material do not count, so a sphere in free space has overlap 0.
     """
     k0, k1, j0, j1, i0, i1 = window

@@ -35,7 +35,7 @@ REFERENCE_BAR, ENERGY_BAR = 0.03, 0.01
 
 
 def _model(impact: Impact, options: Options) -> Model:
-    """Return the material of the case as the Lagrangian solution wants it; raises ``InputError`` for other pressures."""
+    """Return the material of the case for the Lagrangian solution; raises ``InputError`` for other pressures."""
     dx = impact.diameter / 8.0
     scene = write_scene((8, 8, 16), dx, impact.material, impact.speed, impact.duration,
                         spheres=[(0.0, 0.0, 0.5 * impact.diameter, 0.5 * impact.diameter)], substrate=8,

@@ -8,6 +8,7 @@ keeps its energy, part by part; but where jets fold its mesh it ends, so it is f
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -86,7 +87,7 @@ def _sphere(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             ring.append(len(points))
             points.append((x + share * (math.cos(angle) - x), y + share * (math.sin(angle) - y)))
         rings.append(ring)
-    quads += [(a[t], b[t], b[t + 1], a[t + 1]) for a, b in zip(rings, rings[1:]) for t in range(4 * n)]
+    quads += [(a[t], b[t], b[t + 1], a[t + 1]) for a, b in itertools.pairwise(rings) for t in range(4 * n)]
     places = np.array(points)
     places[rings[-1][0], 0] = places[rings[-1][-1], 0] = 0.0  # cos(pi/2) is not quite
     for ring in rings:
