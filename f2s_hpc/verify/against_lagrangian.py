@@ -111,9 +111,9 @@ CASES = (
          "25 um copper sphere on copper at 300 m/s, bonded where it touches, Johnson-Cook, adiabatic, 80 ns: height, "
          "width (second moments), mean PEEQ and crater depth on the axis against an axisymmetric Lagrangian solution "
          "that is computed beside it and tells its own error.",
-         run_on_block, (8.0, 12.0), (12.0, 18.0, 24.0), _BLOCK, _UNITS),
+         run_on_block, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _BLOCK, _UNITS),
     Case("sphere-mirror",
          "25 um copper sphere into its mirror image at 200 m/s, Johnson-Cook, adiabatic, 60 ns: height, width and mean "
          "PEEQ against the same Lagrangian solution.",
-         run_at_mirror, (8.0, 12.0), (12.0, 18.0, 24.0), _MIRROR, _UNITS),
+         run_at_mirror, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _MIRROR, _UNITS),
 )
