@@ -142,15 +142,6 @@ def test_fewer_remaps_only_where_the_cells_are_fine(name, overrides, steps):
     assert load_scene(name, overrides).numerics.steps_per_remap == steps
 
 
-@pytest.mark.parametrize(("cell", "overrides", "limits"), [
-    (6.0, [], (1.2, 2.0)), (2.6, [], (1.2, 2.0)), (2.5, [], (3.0, 4.0)),
-    (2.5, ["numerics.speed_limit_factor=1.5"], (1.5, 4.0)), (6.0, ["numerics.speed_cap_factor=5"], (1.2, 5.0))])
-def test_jets_of_resolved_particles_are_not_braked(cell, overrides, limits):
-    """Median particle of 30 um; fails if ``RESOLVED`` counts cells per radius, or a default replaces what is asked."""
-    numerics = load_scene("section4", [f"domain.cell_size={cell} um", *overrides]).numerics
-    assert (numerics.speed_limit_factor, numerics.speed_cap_factor) == limits
-
-
 def test_hash_tells_scenes_apart():
     assert scene_hash(load_scene("splat")) != scene_hash(load_scene("splat", ["batches.seed=2"]))
 

@@ -1,4 +1,7 @@
-"""Settings that would have no effect, or that undo each other, are refused; so is a box too low in whole cells."""
+"""Settings that would have no effect, or that undo each other, are refused; so is a box too low in whole cells.
+
+Defaults that hang on the resolution leave alone what a scene says.
+"""
 
 from __future__ import annotations
 
@@ -125,3 +128,12 @@ def test_the_layer_of_built_in_scenes_is_above_the_substrate(name):
     """Fails if a built-in scene leaves its layer no room in whole cells."""
     domain = load_scene(name).domain
     assert domain.layer_bottom >= domain.substrate_height * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize(("cell", "overrides", "limits"), [
+    (6.0, [], (1.2, 2.0)), (2.6, [], (1.2, 2.0)), (2.5, [], (3.0, 4.0)),
+    (2.5, ["numerics.speed_limit_factor=1.5"], (1.5, 4.0)), (6.0, ["numerics.speed_cap_factor=5"], (1.2, 5.0))])
+def test_jets_of_resolved_particles_are_not_braked(cell, overrides, limits):
+    """Median particle of 30 um; fails if ``RESOLVED`` counts cells per radius, or a default replaces what is asked."""
+    numerics = load_scene("section4", [f"domain.cell_size={cell} um", *overrides]).numerics
+    assert (numerics.speed_limit_factor, numerics.speed_cap_factor) == limits

@@ -23,7 +23,7 @@ JC = JohnsonCook(90e6, 292e6, 0.31, 0.025, 1.09, 1.0, 298.0, 1356.15)
 def test_the_mesh_is_a_sphere(on_block):
     """Volume and inertia of the sphere; fails if a cell of the ring is left out, or lies the wrong way round."""
     mesh = lagrangian.make_mesh(32.0, D, on_block)
-    volume = np.array([lagrangian._volume(mesh.r, mesh.z, quad) for quad in mesh.quads])
+    volume = lagrangian._volumes(mesh.r, mesh.z, mesh.quads)
     assert (volume > 0.0).all()
     own = volume[:mesh.sphere[1]]
     assert math.isclose(own.sum(), math.pi * D**3 / 6.0, rel_tol=6e-3)

@@ -7,24 +7,24 @@ mesh, and the energy that it does not explain.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 from f2s_hpc import mpi
-from f2s_hpc.build import build_model
 from f2s_hpc.errors import InputError
 from f2s_hpc.materials.params import LinearPressure
 from f2s_hpc.solver.model import Model
 from f2s_hpc.verify import lagrangian
+from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
+from f2s_hpc.verify.impact import JOHNSON_COOK, impact_of, settings_of
 from f2s_hpc.verify.lagrangian import Solution
-from f2s_hpc.verify.scenes import write_scene
 from f2s_hpc.verify.splat import Impact, Splat, splat
 
 MESHES = {False: (20.0, 28.0), True: (24.0, 36.0)}
 """Cells per diameter of the Lagrangian meshes, by full size; the finer one is the reference."""
 
 _ADIABATIC = "numerics.conduction=false"
-
 
 BARS = ((24.0, {"height / D": 0.015, "width / D": 0.01, "crater depth / D": 0.03, "mean PEEQ": 0.03}),
         (12.0, {"height / D": 0.03, "width / D": 0.015, "crater depth / D": 0.08, "mean PEEQ": 0.06}))
@@ -36,11 +36,7 @@ REFERENCE_BAR, ENERGY_BAR = 0.03, 0.01
 
 def _model(impact: Impact, options: Options) -> Model:
     """Return the material of the case for the Lagrangian solution; raises ``InputError`` for other pressures."""
-    dx = impact.diameter / 8.0
-    scene = write_scene((8, 8, 16), dx, impact.material, impact.speed, impact.duration,
-                        spheres=[(0.0, 0.0, 0.5 * impact.diameter, 0.5 * impact.diameter)], substrate=8,
-                        temperature=impact.temperature, overrides=options.numerics)
-    model = build_model(scene)
+    model = make_model(impact.diameter / 8.0, impact.material, impact.speed, options.numerics)
     if not isinstance(model.eos, LinearPressure):
         raise InputError(f"--set material={impact.material}: the Lagrangian solution knows linear pressure only")
     return model
@@ -62,9 +58,9 @@ def _solved(impact: Impact, model: Model, cells: float) -> tuple[Solution, dict]
                       "steps": solution.steps, "wall_s": watch.read()}
 
 
-def _run(options: Options, half_width: float, depth: float) -> Iterator[Measured]:
-    impact = Impact(*(options[name] for name in ("material", "diameter", "speed", "temperature", "duration")),
-                    half_width, depth)
+def run(options: Options) -> Iterator[Measured]:
+    """Yield the shape, mean PEEQ and loss of a sphere on a block, or at a mirror, against the Lagrangian solution."""
+    impact = impact_of(options)
     model = _model(impact, options)
     (coarse, _), (fine, cost) = (_solved(impact, model, cells) for cells in MESHES[options.full])
     wanted, coarser = _numbers(impact, fine), _numbers(impact, coarse)
@@ -87,33 +83,17 @@ def _run(options: Options, half_width: float, depth: float) -> Iterator[Measured
                        abs(result.peeq_p95 / fine.peeq_p95 - 1.0), compares=False, **result.cost)
 
 
-def run_on_block(options: Options) -> Iterator[Measured]:
-    """Yield the shape, mean PEEQ and loss of a sphere on a substrate against the Lagrangian solution."""
-    return _run(options, 2.0, 3.0)
-
-
-def run_at_mirror(options: Options) -> Iterator[Measured]:
-    """Yield the same of a sphere that hits its mirror image."""
-    return _run(options, 1.25, 0.0)
-
-
-def _settings(speed: str, duration: str) -> tuple[dict[str, str], dict[str, str]]:
-    return ({"material": "copper-johnson-cook", "diameter": "25 um", "speed": speed, "temperature": "298.15 K",
-             "duration": duration},
-            {"diameter": "length", "speed": "speed", "temperature": "temperature", "duration": "time"})
-
-
-_BLOCK, _UNITS = _settings("300 m/s", "80 ns")
-_MIRROR, _ = _settings("200 m/s", "60 ns")
+_ON_BLOCK, _UNITS = settings_of(dataclasses.replace(JOHNSON_COOK, speed=300.0))
+_AT_MIRROR, _ = settings_of(dataclasses.replace(JOHNSON_COOK, speed=200.0, duration=60e-9, half_width=1.25, depth=0.0))
 
 CASES = (
     Case("impact-lagrangian",
          "25 um copper sphere on copper at 300 m/s, bonded where it touches, Johnson-Cook, adiabatic, 80 ns: height, "
          "width (second moments), mean PEEQ and crater depth on the axis against an axisymmetric Lagrangian solution "
          "that is computed beside it and tells its own error.",
-         run_on_block, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _BLOCK, _UNITS),
+         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _ON_BLOCK, _UNITS),
     Case("sphere-mirror",
          "25 um copper sphere into its mirror image at 200 m/s, Johnson-Cook, adiabatic, 60 ns: height, width and mean "
          "PEEQ against the same Lagrangian solution.",
-         run_at_mirror, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _MIRROR, _UNITS),
+         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _AT_MIRROR, _UNITS),
 )

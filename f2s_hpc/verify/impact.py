@@ -33,13 +33,13 @@ NUMERICAL_TERMS = ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic")
 """Energy terms that no physical process takes; the work of the shock viscosity joins them where it is not heated."""
 
 
-def _impact(options: Options, **changed: float) -> Impact:
+def impact_of(options: Options, **changed: float) -> Impact:
     """Return the impact of the options; ``changed`` gives what they do not hold or what replaces it."""
     return Impact(**{name: options.values[name] for name in Impact.__dataclass_fields__ if name in options.values}
                   | changed)
 
 
-def _settings(base: Impact, **changed: str) -> tuple[dict[str, str], dict[str, str]]:
+def settings_of(base: Impact, **changed: str) -> tuple[dict[str, str], dict[str, str]]:
     """Return settings and dimensions of a case that varies ``base``."""
     settings = {
         "material": base.material, "diameter": f"{1e6 * base.diameter:g} um", "speed": f"{base.speed:g} m/s",
@@ -71,7 +71,7 @@ def run_published(options: Options) -> Iterator[Measured]:
     """Yield flattening, crater depth / D and particle PEEQ p95 at each published speed."""
     for speed in _speeds(options):
         for level in options.levels:
-            result = splat(_impact(options, speed=speed), level, options.numerics)
+            result = splat(impact_of(options, speed=speed), level, options.numerics)
             found = (result.flattening(PUBLISHED_CELLS), result.crater / options["diameter"], result.peeq_p95)
             for name, value, reference in zip(("flattening", "crater depth / D", "PEEQ p95"), found, PUBLISHED[speed]):
                 # the bar is for the published resolution; what is coarser shows the way there
@@ -130,7 +130,7 @@ def run_convergence(options: Options) -> Iterator[Measured]:
 
     The bar is on the order of the fit: errors against the finest run fall even where the values run away.
     """
-    results = [splat(_impact(options), level, options.numerics) for level in options.levels]
+    results = [splat(impact_of(options), level, options.numerics) for level in options.levels]
     if len(results) < 3:
         raise InputError("--set resolutions: convergence needs three resolutions or more")
     series = [_lengths(result, options["diameter"]) for result in results]
@@ -166,7 +166,7 @@ def run_paper_cells(options: Options) -> Iterator[Measured]:
     fine = options.levels[-1]
     for name, diameter in PAPER_DIAMETERS.items() if options.full else [("D10", PAPER_DIAMETERS["D10"])]:
         # a larger particle takes longer to come to rest, in proportion
-        impact = _impact(options, diameter=diameter, duration=options["duration"] * diameter / GE.diameter)
+        impact = impact_of(options, diameter=diameter, duration=options["duration"] * diameter / GE.diameter)
         reference = _lengths(splat(impact, fine, options.numerics), diameter)
         for dx in PAPER_CELLS:
             result = splat(impact, diameter / dx, options.numerics)
@@ -186,7 +186,7 @@ def _loss_bar(cells_per_diameter: float) -> float | None:
 
 def run_energy(options: Options) -> Iterator[Measured]:
     """Yield the shares of the impact energy: the remainder, each numerical part, and the whole numerical loss."""
-    impact = _impact(options)
+    impact = impact_of(options)
     for level in options.levels:
         result = splat(impact, level, options.numerics)
         yield from _shares(result, level)
@@ -229,8 +229,8 @@ def _unexplained(result: Splat) -> float:
 _CANCELLED = 1e-3
 
 
-_JC, _UNITS = _settings(JOHNSON_COOK)
-_GE, _ = _settings(GE)
+_JC, _UNITS = settings_of(JOHNSON_COOK)
+_GE, _ = settings_of(GE)
 _SERIES = {name: text for name, text in _JC.items() if name != "speed"} | {"speeds": "default"}
 _SERIES_UNITS = {name: unit for name, unit in _UNITS.items() if name != "speed"}
 

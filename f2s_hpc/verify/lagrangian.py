@@ -89,9 +89,8 @@ def _sphere(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rings.append(ring)
     quads += [(a[t], b[t], b[t + 1], a[t + 1]) for a, b in itertools.pairwise(rings) for t in range(4 * n)]
     places = np.array(points)
-    places[rings[-1][0], 0] = places[rings[-1][-1], 0] = 0.0  # cos(pi/2) is not quite
     for ring in rings:
-        places[[ring[0], ring[-1]], 0] = 0.0
+        places[[ring[0], ring[-1]], 0] = 0.0  # cos(pi/2) is not quite
     return places + (0.0, 1.0), np.array(quads), np.array(rings[-1])
 
 
@@ -320,6 +319,11 @@ def _march(r, z, quads, u, v, mass, volume, skin, top, held_r, held_z, stress, p
 # --- a solution -------------------------------------------------------------------------------------------------
 
 
+def _volumes(r: np.ndarray, z: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Return the volumes (m3) of all elements."""
+    return np.array([_volume(r, z, quad) for quad in quads])
+
+
 def _moments(r: np.ndarray, z: np.ndarray, quads: np.ndarray, mass: np.ndarray) -> tuple[float, float]:
     """Return height and width (m), 2 sqrt(5) sigma each, from 2 x 2 points in each element.
 
@@ -358,7 +362,7 @@ def solve(bulk: Bulk, flow: tuple, diameter: float, speed: float, temperature: f
     Pressure is K ln(rho / rho_0). Raises ``UnstableStep`` where an element of the mesh turns inside out.
     """
     r, z, quads, (nodes, elements), skin, top, held_r, held_z = make_mesh(cells_per_diameter, diameter, on_block)
-    volume = np.array([_volume(r, z, quad) for quad in quads])
+    volume = _volumes(r, z, quads)
     mass = np.zeros(r.size)
     np.add.at(mass, quads, 0.25 * bulk.density * volume[:, None])
     u, v = np.zeros(r.size), np.where(np.arange(r.size) < nodes, -speed, 0.0)
@@ -371,7 +375,7 @@ def solve(bulk: Bulk, flow: tuple, diameter: float, speed: float, temperature: f
     if folded >= 0.0 or math.isnan(height):
         when = f" at {1e9 * folded:.3g} ns" if folded >= 0.0 else ""
         raise UnstableStep(f"the Lagrangian mesh folds{when}; lower the speed or the time")
-    jacobian = np.array([_volume(r, z, quad) for quad in quads]) / volume
+    jacobian = _volumes(r, z, quads) / volume
     energy = dict(zip(PARTS, spent / brought))
     energy |= {"kinetic": float(0.5 * (mass * (u * u + v * v)).sum()) / brought,
                "elastic": _elastic(bulk, volume, stress, jacobian) / brought}
