@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from f2s_hpc.errors import F2SError
+from f2s_hpc.errors import F2SError, InputError
 
 ROOT = 0
 DOUBLE = MPI.DOUBLE
@@ -121,6 +121,13 @@ def run_together(task, *arguments):
     return outcome
 
 
+def out_of_memory(error: MemoryError) -> str:
+    """Return the line that tells a user that his computation does not fit."""
+    detail = f" {' '.join(str(error).split())}" if str(error) else ""
+    return (f"not enough memory{detail}; use larger cells, a smaller box or more nodes ('f2s check' tells what a scene "
+            "takes)")
+
+
 def install_abort_hook() -> None:
     """Make an uncaught exception on any rank end the whole job instead of hanging the others.
 
@@ -131,10 +138,11 @@ def install_abort_hook() -> None:
 
     def abort(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.stdout.flush()
-        lines = traceback.format_exception(kind, error, trace)
+        short = isinstance(error, MemoryError)
+        lines = [out_of_memory(error), "\n"] if short else traceback.format_exception(kind, error, trace)
         sys.stderr.write(f"[rank {rank()}] " + "".join(lines))
         sys.stderr.flush()
-        MPI.COMM_WORLD.Abort(1)
+        MPI.COMM_WORLD.Abort(InputError.exit_code if short else 1)
 
     sys.excepthook = abort
 

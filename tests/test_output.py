@@ -147,7 +147,8 @@ def test_a_run_resumed_with_more_fields_than_its_frames_ends_without_a_picture(t
 @pytest.mark.mpi
 def test_a_signal_to_any_rank_is_the_reason_on_all():
     """Fails if rank 0 looks at its own signal only: it then blames the wall-time budget."""
-    before = [signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM)]
+    numbers = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)
+    before = [signal.getsignal(number) for number in numbers]
     try:
         stop = StopRequest(None)
         if mpi.rank() == mpi.size() - 1:
@@ -156,5 +157,5 @@ def test_a_signal_to_any_rank_is_the_reason_on_all():
         assert stop.reason() == "signal SIGUSR1"
         assert StopRequest(1e-9).reason() == "the wall-time budget is spent"
     finally:
-        for number, handler in zip((signal.SIGUSR1, signal.SIGTERM), before):
+        for number, handler in zip(numbers, before):
             signal.signal(number, handler)

@@ -202,6 +202,11 @@ def main(arguments: list[str]) -> int:
             sys.stdout.flush()
             print(f"{prefix}{error}", file=sys.stderr, flush=True)
         return error.exit_code
+    except MemoryError as error:
+        if mpi.size() > 1:  # (maybe of this rank only: the others wait, so the abort hook must end them)
+            raise
+        print(f"f2s: {mpi.out_of_memory(error)}", file=sys.stderr, flush=True)
+        return InputError.exit_code
     finally:
         if "f2s_hpc.grid.halo" in sys.modules and sys.exc_info()[0] is None:
             sys.modules["f2s_hpc.grid.halo"].release_all()

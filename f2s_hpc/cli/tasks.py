@@ -86,8 +86,9 @@ def run(scene: Scene, out: str) -> int:
     """Run a scene into the new folder ``out``; return the exit code."""
     plan = mpi.run_together(make_batches, scene)
     decomposition_fits(scene)
+    # a run that cannot be set up leaves no folder that would pass for one that holds a run
+    simulation = Simulation(scene, runs.check_new_folder(out), plan)
     folder = runs.prepare_run_folder(out)
-    simulation = Simulation(scene, folder, plan)
     _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
          f"{1e6 * scene.domain.cell_size:g} um on {mpi.size()} rank{'s' if mpi.size() > 1 else ''}, into {folder}")
     simulation.begin()

@@ -19,7 +19,7 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 SLOW = 0.1
-"""Material slower than this share of the particles' speed has landed."""
+"""Material slower than this share of the particles' speed (``batch.flight_speed``) has landed."""
 
 _BINS = 8192
 _ZERO_CELSIUS = 273.15

@@ -25,7 +25,7 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint, layout, runs, tracers, vtkhdf
 from f2s_hpc.io.layout import Block
 from f2s_hpc.io.tracers import TracerCloud
-from f2s_hpc.particles.batch import BatchPlan, read_csv, write_csv
+from f2s_hpc.particles.batch import BatchPlan, flight_speed, read_csv, write_csv
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
@@ -148,7 +148,7 @@ class RunFolder:
                 raise
             _note(error)
 
-    def draw(self, summary: dict) -> pathlib.Path | None:
+    def draw(self, summary: dict, plan: BatchPlan) -> pathlib.Path | None:
         """Draw the picture from the newest frame; return its path, None where the scene asks for none or lacks fields.
 
         What keeps a picture from being made is a printed note: the run itself has its results.
@@ -157,12 +157,12 @@ class RunFolder:
             return None
         path = self.path / PICTURE
         try:
-            layout.attempt_on_root(lambda: self._draw(summary, path), f"{path}: cannot be drawn")
+            layout.attempt_on_root(lambda: self._draw(summary, plan, path), f"{path}: cannot be drawn")
         except F2SError as error:
             _note(f"no picture; {error}")
         return path
 
-    def _draw(self, summary: dict, path: pathlib.Path) -> None:
+    def _draw(self, summary: dict, plan: BatchPlan, path: pathlib.Path) -> None:
         from f2s_hpc.analysis import picture  # (what it loads should not lie beside the fields of a run)
 
         numbers = runs.list_frames(self.path)
@@ -174,7 +174,7 @@ class RunFolder:
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
                      f"{summary['particles'] - flying} particles, {1e6 * summary['time_s']:.2f} us, dense height "
                      f"{1e6 * summary['dense_height_m']:.1f} um, cells of {1e6 * domain.cell_size:g} um", path,
-                     slow_speed=measure.SLOW * self.scene.top_speed)
+                     slow_speed=measure.SLOW * flight_speed(plan.batches, self.scene.top_speed))
 
 
 def _note(text: object) -> None:

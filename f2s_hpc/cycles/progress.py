@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 
@@ -10,6 +11,11 @@ def clock_text(seconds: float) -> str:
     """Return a duration as h:mm:ss."""
     whole = int(round(seconds))
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+def silence() -> None:
+    """Let what is still to be printed go nowhere: nobody reads it any more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Progress:
@@ -33,11 +39,17 @@ class Progress:
         """Print a line of its own."""
         if not self.speaks:
             return
-        if self._open_line:
-            sys.stdout.write("\n")
-            self._open_line = False
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
+        self._write(("\n" if self._open_line else "") + text + "\n")
+        self._open_line = False
+
+    def _write(self, text: str) -> None:
+        """Write at once; a run whose reader has gone (a closed pipe) goes on in silence."""
+        try:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            self.speaks = self.on_terminal = False
+            silence()
 
     def step(self, clock, cycle: int, cycles: int, duration: float) -> None:
         """Report the present step when it is time to."""
@@ -55,8 +67,7 @@ class Progress:
                 f"  fastest {clock.limits.heavy_speed:.0f} m/s  {100.0 * share:5.1f} %  ETA {clock_text(left)}")
         if self.on_terminal:
             bar = ("#" * int(20 * share)).ljust(20, ".")
-            sys.stdout.write(f"\r[{bar}] {text}\033[K")
-            sys.stdout.flush()
+            self._write(f"\r[{bar}] {text}\033[K")
             self._open_line = True
         else:
             self.say(text)

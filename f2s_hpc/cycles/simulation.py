@@ -22,7 +22,7 @@ from f2s_hpc.errors import F2SError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
-from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.particles.batch import BatchPlan, flight_speed
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.workload.balance import balance_of_run
 
@@ -159,7 +159,7 @@ class Simulation:
             raise
         summary = self.summary()
         self.folder.write_tables(self.rows, summary)
-        if self.folder.draw(summary) is None and scene.output.picture and mpi.is_root():
+        if self.folder.draw(summary, self.plan) is None and scene.output.picture and mpi.is_root():
             self.progress.say("note: no picture; output.fields lacks volume_fraction, peeq, temperature or speed")
         return self.status
 
@@ -258,7 +258,8 @@ class Simulation:
         row = {
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
             "dt_limit": clock.limit, **self.supply.row()}
-        row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height, scene.top_speed)
+        row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height,
+                                        flight_speed(self.plan.batches, scene.top_speed))
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)
         if self.tracers is not None:
             row |= self.tracers.census(self.state)

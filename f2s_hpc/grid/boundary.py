@@ -158,6 +158,12 @@ class Boundary:
                 if self.free_motion[axis, component, wall] == 0.0:
                     array[(slice(None),) * (2 - axis) + (wall,)] = 0.0
 
+    def fixed_planes(self) -> list[tuple[int, int]]:
+        """Return axis and local plane of nodes of each fixed wall that this rank touches, and of the floor."""
+        planes = [(SIDES.index(side) // 2, self.wall_plane(side)) for side in self.touched
+                  if self.kinds[side] == "fixed"]
+        return planes if self.floor is None else [*planes, (2, self.floor)]
+
     def stop_inflow(self, axis: int, flux: np.ndarray, mass_flux: np.ndarray) -> None:
         """Let nothing enter through the outflow sides normal to ``axis``."""
         for side in self.touched:

@@ -124,7 +124,7 @@ class Decomposition:
     """The distributed box: this rank's :class:`Part` and the ghost maps of cells and nodes.
 
     ``ranges``: what each rank owns, the same on all ranks; even ranges if not given. Raises ``InputError`` on all
-    ranks where a slab is thinner than the ghosts.
+    ranks where a slab is thinner than the ghosts; ``MemoryError`` on ranks that have too little for it.
     """
 
     def __init__(self, box: Box, grid: tuple[int, int, int] | None = None, ranges: Ranges | None = None) -> None:
@@ -147,10 +147,16 @@ class Decomposition:
 
     def _create(self, sizes: tuple[int, ...], ranges: list[list[int]]) -> PETSc.DMDA:
         ghosted = PETSc.DM.BoundaryType.GHOSTED
-        return PETSc.DMDA().create(
-            dim=3, dof=1, sizes=sizes, proc_sizes=self.grid, boundary_type=(ghosted,) * 3, stencil_width=GHOST,
-            stencil_type=PETSc.DMDA.StencilType.BOX, comm=mpi.world(),
-            ownership_ranges=[np.array(r, dtype=PETSc.IntType) for r in ranges])
+        try:
+            return PETSc.DMDA().create(
+                dim=3, dof=1, sizes=sizes, proc_sizes=self.grid, boundary_type=(ghosted,) * 3, stencil_width=GHOST,
+                stencil_type=PETSc.DMDA.StencilType.BOX, comm=mpi.world(),
+                ownership_ranges=[np.array(r, dtype=PETSc.IntType) for r in ranges])
+        except PETSc.Error as error:
+            if "Malloc" not in str(error):
+                raise
+            raise MemoryError(f"for {' x '.join(map(str, sizes))} points on {mpi.size()} rank"
+                              + "s" * (mpi.size() > 1)) from None
 
     def _ghost_map(self, da: PETSc.DMDA, shape: tuple[int, int, int]) -> GhostMap:
         """Let the DMDA carry each owned point's (rank, flat index) into the ghosts of its neighbours."""

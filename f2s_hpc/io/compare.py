@@ -234,9 +234,10 @@ def format_comparison(result: Comparison) -> str:
                      f"{f'{d.different} of {d.values}':>24}")
     lines += [f"missing: {text}" for text in result.missing]
     lines += [f"note: {text}" for text in result.notes]
-    compared = f"{len(result.differences)} fields and numbers, {sum(d.values for d in result.differences)} values"
+    compared, values = f"{len(result.differences)} fields and numbers", sum(d.values for d in result.differences)
     if result.identical:
-        lines.append(f"identical in every saved bit ({compared})")
+        lines.append(f"identical in every saved bit ({compared}, {values} values)")
     else:
-        lines.append(f"not identical: {len(differing)} of {compared} differ, {len(result.missing)} missing")
+        lines.append(f"not identical: {len(differing)} of {compared} ({values} values) differ, "
+                     f"{len(result.missing)} missing")
     return "\n".join(lines)

@@ -40,14 +40,14 @@ class FrameMeta:
     provenance: dict
 
 
-def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
-    """Make the folder of a new run, with its sub-folders; return it. Called by all ranks, done by rank 0.
+def check_new_folder(path: str | os.PathLike) -> pathlib.Path:
+    """Return the folder ``path`` if a new run may use it. Called by all ranks, looked at by rank 0.
 
-    Raises ``InputError`` on all ranks when the folder is in use, or cannot be made.
+    Raises ``InputError`` on all ranks when it is in use.
     """
     path = pathlib.Path(path)
 
-    def make() -> None:
+    def look() -> None:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; name a new folder with --out")
         if path.is_dir() and any(path.iterdir()):
@@ -56,6 +56,19 @@ def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
                          ", without a checkpoint to continue from; remove it, or")
                 raise InputError(f"{path}: holds a run already{go_on} start a new one in another folder with --out")
             raise InputError(f"{path}: is not empty; name a new or empty folder with --out")
+
+    layout.attempt_on_root(look, f"{path}: cannot be looked at", InputError)
+    return path
+
+
+def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
+    """Make the folder of a new run, with its sub-folders; return it. Called by all ranks, done by rank 0.
+
+    Raises ``InputError`` on all ranks when the folder is in use, or cannot be made.
+    """
+    path = check_new_folder(path)
+
+    def make() -> None:
         path.mkdir(parents=True, exist_ok=True)
         try:
             (path / layout.CHECKPOINTS).mkdir()

@@ -201,7 +201,7 @@ def smallest_gap(batch: Batch) -> float:
 def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height: float) -> None:
     """Raise InputError, naming ``label`` and the row, for a sphere that is not in the particle layer.
 
-    Spheres must lie within 0..height (m) and touch the footprint: a centre at most one radius outside
+    Spheres must lie within 0..height (m) and touch the footprint: a centre less than one radius away from
     0..size_x, 0..size_y (the side walls cut such a sphere).
     """
     slack = LAYER_TOLERANCE * height
@@ -214,6 +214,9 @@ def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height:
             if not -r < centre < size + r:
                 raise InputError(f"{label}: row {row + 1}: the sphere at {axis} = {1e3 * centre:.6g} mm with radius "
                                  f"{1e3 * r:.6g} mm lies outside the box, {axis} from 0 to {1e3 * size:.6g} mm")
+        if math.hypot(max(-x, x - size_x, 0.0), max(-y, y - size_y, 0.0)) >= r:
+            raise InputError(f"{label}: row {row + 1}: the sphere at x, y = {1e3 * x:.6g}, {1e3 * y:.6g} mm with "
+                             f"radius {1e3 * r:.6g} mm lies beyond a corner of the box")
 
 
 def join(batches: Sequence[Batch | None]) -> Batch:
@@ -311,6 +314,7 @@ def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[B
     """Give all spheres velocities of their own if any has one, or the speed depends on the place; check the highest."""
     own = [batch.velocity is not None for batch in batches]
     if not any(own) and scene.particles.speed_curvature == 0.0:
+        _warn_of_departure(scene, np.array(scene.particles.velocity[2:]), messages)
         return batches
     limit, names = scene.top_speed, [str(path) for path in scene.batches.files]
     for index, batch in enumerate(batches):
@@ -322,9 +326,31 @@ def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[B
                                  f"the scene, {limit:.6g} m/s; raise particles.speed, to which the limits of the "
                                  "numerics refer")
     batches = [_speed_law(scene, batch) for batch in batches]
+    _warn_of_departure(scene, np.concatenate([batch.velocity[:, 2] for batch in batches]), messages)
     speeds = np.concatenate([np.linalg.norm(batch.velocity, axis=1) for batch in batches])
     messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean")
     return batches
+
+
+def flight_speed(batches: Sequence[Batch], top_speed: float) -> float:
+    """Return the speed (m/s), a tenth of which tells material that has landed from what still flies.
+
+    That of the fastest particle, but at most twice that of the slowest one that moves, which must not pass for landed
+    in its flight (half of the nodes around a cell on its surface are at rest). ``top_speed``: the highest of the scene
+    (m/s), which spheres without a velocity of their own have.
+    """
+    speeds = [np.linalg.norm(batch.velocity, axis=1) for batch in batches if batch.velocity is not None]
+    moving = [float(s[s > 0.0].min()) for s in speeds if (s > 0.0).any()]
+    return min(top_speed, 2.0 * min(moving, default=top_speed))
+
+
+def _warn_of_departure(scene, down: np.ndarray, messages: list[str]) -> None:
+    """Tell when particles (``down``: their velocity along z, m/s) will never come to the substrate."""
+    leaving = int((down >= 0.0).sum())
+    if leaving and scene.domain.substrate_height > 0.0:
+        who = "no particle flies" if leaving == down.size else f"{leaving} of {down.size} particles do not fly"
+        messages.append(f"{who} towards the substrate; it is at the low side of z, so directions and velocities with a "
+                        "negative z lead there")
 
 
 def make_batches(scene) -> BatchPlan:

@@ -18,10 +18,10 @@ from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.io.manifest import read_manifest
 from f2s_hpc.io.tracers import TracerCloud, read_tracers
 from f2s_hpc.kernels import derived
-from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.batch import Batch, flight_speed
 
 LANDED = 0.1
-"""Material slower than this share of the particles' speed has landed, as in the cycle table."""
+"""Material slower than this share of ``flight_speed`` has landed, as in the cycle table."""
 
 _LAYERS_AT_ONCE = 16
 _ROWS_AT_ONCE = 32
@@ -33,7 +33,7 @@ class Deposit:
     """The state at the end of a cycle, SI, arrays (nz, ny, nx) float32.
 
     ``fraction``: volume fraction; ``peeq``; ``temperature`` (K); ``von_mises`` (Pa); ``landed`` (bool): slower than
-    ``LANDED`` of the particles' speed and attached (``surface.attached_material``); ``detached``: volume of what is as
+    ``LANDED`` of ``flight_speed`` and attached (``surface.attached_material``); ``detached``: volume of what is as
     slow but hangs in the air (m3); ``surface``: height of what has landed above the bottom of the box (m), (ny, nx)
     float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles;
     ``tracers``: the points of the particles, where the scene asked for them.
@@ -156,7 +156,8 @@ def _from_frame(folder: pathlib.Path, cycle: int, number: int) -> Deposit:
 def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: pathlib.Path,
              arrays: dict[str, np.ndarray]) -> Deposit:
     fraction, dx = arrays["volume_fraction"], scene.domain.cell_size
-    slow = arrays.pop("speed") < LANDED * scene.particles.speed
+    batches = _painted(folder, scene)
+    slow = arrays.pop("speed") < LANDED * flight_speed(batches, scene.top_speed)
     landed = attached_material(fraction, slow)
     detached = float(fraction[slow & ~landed].sum(dtype=np.float64)) * dx**3
     surface = np.empty(fraction.shape[1:])
@@ -165,7 +166,7 @@ def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: 
         # what has landed is at rest, all else is in flight
         surface[rows] = surface_height(fraction[:, rows], np.where(landed[:, rows], 0.0, 1.0), dx, 0.5)
     return Deposit(folder, scene, cycle, time, path, fraction, arrays["peeq"], arrays["temperature"],
-                   arrays["von_mises"], landed, detached, surface, _painted(folder, scene),
+                   arrays["von_mises"], landed, detached, surface, batches,
                    read_tracers(folder, cycle) if scene.output.tracers else None)
 
 

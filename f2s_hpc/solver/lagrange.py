@@ -7,7 +7,7 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import deformed, force, momentum, remap, strain
-from f2s_hpc.solver import absorbing
+from f2s_hpc.solver import absorbing, walls
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -112,7 +112,7 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
         ledger.add(name, value)
     if state.lost.size > 1:
         ledger.add("exchange_kept", sums[0])
-    state.boundary.hold([state.views[n] for n in VELOCITY])
+    walls.hold(state, model, ledger, "exchanged", masses_known=True)
     state.exchange(VELOCITY)
     return speeds
 

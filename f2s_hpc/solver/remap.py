@@ -7,7 +7,7 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import SIDES
 from f2s_hpc.kernels import flux, momentum, remap, seal
-from f2s_hpc.solver import absorbing
+from f2s_hpc.solver import absorbing, walls
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -53,8 +53,8 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
                 runs, count, state.node_window(), state.part.cell_shape[1:], state.boundary.weights, lost,
                 model.cell_mass, model.energy_quantum))
             _close(state, model, ledger)
-        state.boundary.hold([state.views[n] for n in VELOCITY])
         state.exchange(("mass", "volume_fraction"))
+        walls.hold(state, model, ledger, "lost", masses_known=False)
         if position < 2:
             state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[position + 1])
             state.exchange(VELOCITY, LAYERS_OF_NODES, order[position + 1])

@@ -39,8 +39,8 @@ USUAL = (3.6, 54.0, 445.0)
 """Cells per mean diameter (by number), spheres that land at once and their number on a square millimetre: those of
 section4 at 6 um."""
 
-SAMPLES = 4
-"""Looks per cycle."""
+SAMPLES, MOST_SAMPLES = 4, 400
+"""Looks per cycle, and the most of a long one: the fastest particle crosses the box twenty times meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -116,16 +116,20 @@ def moments(scene: Scene, plan: BatchPlan, samples: int = SAMPLES) -> Iterator[M
         batch = plan.batches[plan.order[cycle]]
         air.launch(batch)
         # long cycles need more looks, or particles would be seen far above and then far below the surface
-        looks = max(samples, int(np.ceil(duration * fastest / (0.05 * nz))))
+        looks = int(np.ceil(max(samples, min(duration * fastest / (0.05 * nz), MOST_SAMPLES))))
         step = duration / looks
         for look in range(looks):
             air.fly(step * (0.5 if look == 0 else 1.0))
             landed = air.land(height)
+            # when all have landed nothing changes any more
+            left = looks - look if not (landed or air.r.size) else 1
             blocks = np.zeros((nz, ny, block_count(nx)), dtype=np.uint8)
             marks.mark_solid(blocks, height, GHOST, BLOCK)
             solid = blocks.copy()
             air.mark(blocks, height, nx, ON_GRID if landed else CALM)
-            yield Moment(cycle, step / scene.cycles.total_time, _pace(scene, batch, landed, step), blocks, solid)
+            yield Moment(cycle, left * step / scene.cycles.total_time, _pace(scene, batch, landed, step), blocks, solid)
+            if left > 1:
+                break
         air.fly(0.5 * step)
 
 
