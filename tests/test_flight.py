@@ -13,6 +13,7 @@ from f2s_hpc.cycles.insert import OVERFILL, paint_arrivals
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import Batch, smallest_gap
+from f2s_hpc.particles.meeting import LEAD
 
 DX = 3e-6
 CELLS = (24, 20, 40)
@@ -170,6 +171,24 @@ def test_a_faster_sphere_meets_a_slower_one_when_their_gap_is_two_reaches(setup)
     assert np.isinf(flight.contact[2])
 
 
+def test_spheres_that_pass_by_do_not_wait_and_those_that_close_in_slowly_wait_late(setup):
+    """Never in touch, or only below the ground: no wait. At 20 m/s towards each other: ``LEAD`` cells before touch.
+
+    Fails when ``meets`` of ``waits`` asks who comes near, or ``LEAD`` is left out of ``when``.
+    """
+    both, speed = 15e-6, 600.0
+    flight = Flight(DX, setup.state.part.box.extents)
+    for aside, fast in ((both + REACH * DX, -700.0), (0.0, -600.0)):
+        flight.launch(setup.state, spheres((20e-6, 30e-6, 60e-6, 6e-6), (20e-6 + aside, 30e-6, 110e-6, 9e-6),
+                                           velocity=[(0, 0, -500.0), (0, 0, fast)]), DOWN, 0.0)
+        assert np.isinf(flight.contact).all()
+        flight = Flight(DX, setup.state.part.box.extents)
+    gap = 2e-6 + DX
+    flight.launch(setup.state, spheres((30e-6, 30e-6, 300e-6, 6e-6), (30e-6, 30e-6, 300e-6 + both + gap, 9e-6),
+                                       velocity=[(0, 0, -speed), (0, 0, -speed - 20.0)]), DOWN, 1e-6)
+    assert flight.contact == pytest.approx(1e-6 + (gap - DX) / 20.0 - LEAD * DX / speed, rel=1e-12)
+
+
 def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup):
     """Fails if ``_free_places`` looks at material only, or at flying spheres only."""
     flight = Flight(DX, setup.state.part.box.extents)
@@ -215,6 +234,15 @@ def test_of_spheres_launched_into_each_other_the_later_starts_higher(setup):
     z = flight.spheres.z
     assert z[0] == 60e-6
     assert z[1:] - z[:-1] == pytest.approx(16e-6, abs=CLEARANCE * DX)
+    assert smallest_gap(flight.spheres) >= 1.0
+
+
+def test_a_sphere_launched_inside_another_starts_above_it(setup):
+    """Fails when ``shared_volume`` leaves out that one sphere may hold the other: the lens is then negative."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    batch = spheres((30e-6, 30e-6, 60e-6, 10e-6), (31e-6, 30e-6, 62e-6, 4e-6))
+    assert flight.launch(setup.state, batch, DOWN, 0.0) == 1
+    assert flight.spheres.z[0] == 60e-6
     assert smallest_gap(flight.spheres) >= 1.0
 
 
