@@ -156,7 +156,7 @@ def _from_frame(folder: pathlib.Path, cycle: int, number: int) -> Deposit:
 def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: pathlib.Path,
              arrays: dict[str, np.ndarray]) -> Deposit:
     fraction, dx = arrays["volume_fraction"], scene.domain.cell_size
-    slow = arrays.pop("speed") < LANDED * scene.particles.speed
+    slow = arrays.pop("speed") < LANDED * scene.top_speed
     landed = attached_material(fraction, slow)
     detached = float(fraction[slow & ~landed].sum(dtype=np.float64)) * dx**3
     surface = np.empty(fraction.shape[1:])
