@@ -237,13 +237,35 @@ def test_of_spheres_launched_into_each_other_the_later_starts_higher(setup):
     assert smallest_gap(flight.spheres) >= 1.0
 
 
-def test_a_sphere_launched_inside_another_starts_above_it(setup):
-    """Fails when ``shared_volume`` leaves out that one sphere may hold the other: the lens is then negative."""
+@pytest.mark.parametrize(("place", "velocity", "near"), [
+    ((36e-6, 42e-6), (0.0, 300.0), True), ((36e-6, 38e-6), (0.0, 300.0), False), ((36e-6, 42e-6), (0.0, -300.0), False),
+    ((54e-6, 30e-6), (300.0, 0.0), True), ((45e-6, 30e-6), (300.0, 0.0), False), ((17e-6, 30e-6), (-300.0, 0.0), True),
+    ((22e-6, 30e-6), (-300.0, 0.0), False), ((36e-6, 17e-6), (0.0, -300.0), True)])
+def test_a_side_that_a_sphere_flies_towards_calls_it_down(setup, place, velocity, near):
+    """A box of 72 x 60 um, a radius and a reach of 9 um each; fails when ``_at_side`` mixes up axes or signs."""
     flight = Flight(DX, setup.state.part.box.extents)
-    batch = spheres((30e-6, 30e-6, 60e-6, 10e-6), (31e-6, 30e-6, 62e-6, 4e-6))
-    assert flight.launch(setup.state, batch, DOWN, 0.0) == 1
-    assert flight.spheres.z[0] == 60e-6
-    assert smallest_gap(flight.spheres) >= 1.0
+    flight.launch(setup.state, spheres((*place, 90e-6, 9e-6), velocity=[(*velocity, -1.0)]), DOWN, 0.0)
+    assert (flight.arrivals(setup.state, 1e-12, 1e-12) is not None) is near
+
+
+def test_of_spheres_that_ran_into_each_other_above_the_box_the_upper_waits_on_the_lower(setup):
+    """Both are due; fails when ``_overlapping`` holds none back: their common part would be painted twice."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    flight.launch(setup.state, spheres((30e-6, 30e-6, 60e-6, 6e-6), (33e-6, 30e-6, 110e-6, 9e-6),
+                                       velocity=[(0, 0, -500.0), (0, 0, -700.0)]), DOWN, 0.0)
+    flight.spheres.z[:] = 90e-6, 96e-6
+    flight.contact[:] = 0.0
+    arrived, velocity = flight.arrivals(setup.state, 0.0, 1e-12)
+    assert (arrived.count, arrived.z[0], velocity[2]) == (1, 90e-6, -500.0)
+    assert flight.spheres.z == pytest.approx(90e-6 + np.sqrt((15e-6) ** 2 - (3e-6) ** 2), rel=1e-12)
+
+
+def test_the_volume_in_flight_is_that_between_the_walls(setup):
+    """Half of a sphere on a wall counts, all of one above the box; fails when width and depth change places."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    flight.launch(setup.state, spheres((66e-6, 30e-6, 90e-6, 5e-6), (30e-6, 60e-6, 200e-6, 4e-6)), DOWN, 0.0)
+    wanted = 4.0 / 3.0 * np.pi * ((5e-6) ** 3 + 0.5 * (4e-6) ** 3)
+    assert flight.volume(3e-8) == pytest.approx(wanted, rel=1e-12, abs=0.0)
 
 
 def test_a_sphere_that_does_not_fit_under_the_top_stops_the_run_on_all_ranks(setup):

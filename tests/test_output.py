@@ -160,15 +160,21 @@ def test_a_run_resumed_with_more_fields_than_its_frames_ends_without_a_picture(t
 
 
 @pytest.mark.mpi
-def test_a_signal_to_any_rank_is_the_reason_on_all():
-    """Fails if rank 0 looks at its own signal only: it then blames the wall-time budget."""
+@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM"])
+def test_a_signal_to_any_rank_is_the_reason_on_all(name):
+    """Fails if rank 0 looks at its own signal only: it then blames the wall-time budget.
+
+    Or if one of the two signals of batch systems is not listened to: the run would be killed without a checkpoint.
+    """
     before = [signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM)]
     try:
         stop = StopRequest(None)
         if mpi.rank() == mpi.size() - 1:
-            os.kill(os.getpid(), signal.SIGUSR1)
+            assert signal.getsignal(signal.Signals[name]) != signal.SIG_DFL
+            os.kill(os.getpid(), signal.Signals[name])
         mpi.barrier()
-        assert stop.reason() == "signal SIGUSR1"
+        assert stop.asked() == (mpi.rank() == mpi.size() - 1)
+        assert stop.reason() == f"signal {name}"
         assert StopRequest(1e-9).reason() == "the wall-time budget is spent"
     finally:
         for number, handler in zip((signal.SIGUSR1, signal.SIGTERM), before):
