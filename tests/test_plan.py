@@ -252,12 +252,6 @@ def test_plan_command(run_f2s, tmp_path):
         assert 0.4 < row["predicted_step_s"] / (row["step_s"] - row["messages_s"]) < 1.8
     again = run_f2s(["plan", "quickstart", "--ranks", "2", "--rates", "rates.json"])
     assert "measuring" not in again.stdout
-    slow = run_f2s(["plan", "quickstart", "--ranks", "2", "--rates", "rates.json", "--bandwidth", "0.001", "--json",
-                    "slow.json"])
-    assert slow.returncode == 0, slow.stderr
-    (late,) = json.loads((tmp_path / "slow.json").read_text())["predictions"]
-    # 1 MB/s, the bandwidth in GB/s: nearly all of a step is its messages
-    assert late["messages_s"] == pytest.approx(late["message_bytes"] / 1e6, rel=0.01)
     printed = float(again.stdout.splitlines()[-1].split()[3])
     assert np.isclose(record["predictions"][1]["step_s"] * 1e3, printed, atol=0.01)
 

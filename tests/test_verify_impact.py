@@ -20,6 +20,7 @@ from f2s_hpc.verify import contact, deposit, impact, shapes, taylor
 from f2s_hpc.verify.box import ALL_SYMMETRY
 from f2s_hpc.verify.case import Case, Row, judged
 from f2s_hpc.verify.scenes import empty_setup, scene_setup, write_scene
+from f2s_hpc.verify.splat import Splat
 
 CASES = {case.name: case for module in (taylor, impact, deposit, contact) for case in module.CASES}
 
@@ -261,6 +262,23 @@ def made_splat(impact_: impact.Impact, level: float, _) -> SimpleNamespace:
         peeq_p95=1.0, flattening=lambda cells: cells, settings=SimpleNamespace(
             courant=0.5, remap_courant=0.4, strain_per_step=0.1, strain_per_remap=0.2),
         balance={"energy": energy, "numerical_loss_fraction": 0.1}, cost={"steps": 1, "cell_steps": 1, "wall_s": 1.0})
+
+
+def test_flattening_is_told_as_from_the_cell_centres_of_another_code():
+    """A sphere that became an ellipsoid of 0.6 of its height, as 24 cells per diameter see both.
+
+    Fails when ``Splat.flattening`` leaves out what cell centres add to a moment (``rough = 0.0``): off by 0.0014.
+    """
+    def seen(height: float) -> float:
+        """Return 2 sqrt(5) sigma of the layers of an ellipsoid (1/24 thick), each weighed by its volume."""
+        edges = np.linspace(-1.0, 1.0, 49)
+        z = np.clip(edges / (0.5 * height), -1.0, 1.0)
+        volume, middle = np.diff(z - z**3 / 3.0), 0.5 * (edges[:-1] + edges[1:])
+        return 2.0 * math.sqrt(5.0 * float((volume * middle**2).sum() / volume.sum()))
+
+    found = Splat(1e-6, 25e-6, 15e-6, *[0.0] * 4, {}, None, 1, 1, 1.0)
+    assert found.flattening(1e9) == pytest.approx(0.4, rel=1e-12)
+    assert found.flattening(24.0) == pytest.approx(1.0 - seen(0.6) / seen(1.0), abs=3e-4)
 
 
 def test_bars_hold_from_their_resolution_on(monkeypatch):
