@@ -102,6 +102,34 @@ def test_the_spring_brings_the_side_back():
     assert abs(lent[-1]) < 0.1 * max(lent)
 
 
+def test_all_six_sides_give_way_alike():
+    """A block that runs into a low or a high side along x, y or z lends the same and comes to the same rest.
+
+    Fails when ``lend_mass`` takes the face on the other side of the cell along one axis (``gx[n + 1]`` for ``gx[n]``),
+    or ``outgoing_traction`` the cells on the other side of the node.
+    """
+    model = never_yields(make_model(DX, overrides=("numerics.absorbing_depth=60 um",)))
+    found = {}
+    for axis, letter in enumerate("xyz"):
+        for end, other, way in (("low", "high", -1.0), ("high", "low", 1.0)):
+            cells = [4, 4, 4]
+            cells[axis] = 12
+            setup = make_block(cells, model, sides=ALL_SYMMETRY | {f"{letter}_{end}": "absorbing",
+                                                                   f"{letter}_{other}": "free"})
+            velocity = setup.state.views[f"velocity_{letter}"]
+            velocity[...] = 2.0 * way
+            setup.state.exchange(setup.state.ghosted)
+            lent = []
+            for _ in range(25):
+                setup.advance_to_remap()
+                lent.append(float(setup.state.owned(LENT).sum()))
+            found[letter, end] = [*lent, way * float(setup.state.owned(f"velocity_{letter}").mean())]
+    wanted = found.pop(("z", "low"))
+    assert max(wanted) > 1e-3
+    for side, numbers in found.items():
+        assert numbers == pytest.approx(wanted, rel=1e-6, abs=1e-9), side
+
+
 SCENE = """
 title = "Impacts on a thin substrate with an absorbing bottom"
 domain = { size = ["84 um", "66 um", "180 um"], cell_size = "6 um", substrate_height = "36 um", \

@@ -140,6 +140,50 @@ def test_table_values_and_attributes_count(tmp_path):
     assert {d.name for d in compare_runs(a, d).differences if d.different} == {"quanta"}
 
 
+@pytest.mark.parametrize(("key", "time", "origin", "spacing"), [
+    ("time_s", 2e-7, 0.0, 1e-6), ("origin", 1e-7, 1e-9, 1e-6), ("spacing", 1e-7, 0.0, 2e-6)])
+def test_time_and_place_of_a_frame_count(tmp_path, key, time, origin, spacing):
+    """The same values elsewhere are no equal frame; fails when ``_compare_frames`` leaves out one of the four keys."""
+    a, b = make_run(tmp_path / "a", (1,)), make_run(tmp_path / "b", (1,))
+    blocks = [Block(name, field(name, 1), (0, 0, 0), SHAPE) for name in ("mass", "peeq")]
+    vtkhdf.write_frame(b / "frames", 1, time, blocks, (0, 0, origin), (1e-6, spacing, 1e-6), {"cycle": 1})
+    result = compare_runs(a, b)
+    assert not result.identical
+    assert {(d.place, d.name) for d in result.differences if d.different} == {("frame 1", key)}
+
+
+def test_what_only_one_run_has_is_missing(tmp_path):
+    """A field of a frame, a field and a number of a checkpoint, a number in a list, a column of the table.
+
+    Fails when only what both have is looked at, or lists in the attributes are not gone into.
+    """
+    a, b = make_run(tmp_path / "a", (1,)), make_run(tmp_path / "b", (1,), more_m=1.0)
+    mass, peeq = (Block(name, field(name, 1), (0, 0, 0), SHAPE) for name in ("mass", "peeq"))
+    result = compare_runs(a, b)
+    assert not result.identical
+    assert [text.split(": ")[1:] for text in result.missing] == [["table row 1", "more_m"]]
+    b = make_run(tmp_path / "c", (1,))
+    vtkhdf.write_frame(b / "frames", 1, 1e-7, [mass], (0, 0, 0), (1e-6,) * 3, {"cycle": 1})
+    for run, blocks, attributes in ((a, [mass, peeq], {"step": 200, "list": [1, 2.5], "one": 1}),
+                                    (b, [mass], {"step": 200, "list": [1, 2.0], "two": 1})):
+        checkpoint.write_checkpoint(run / "checkpoints", 2, blocks, attributes)
+    result = compare_runs(a, b)
+    place = "checkpoint cycle 2 step 200"
+    assert [text.split(": ")[1:] for text in result.missing] == [["frame 1", "peeq"], [place, "peeq"], [place, "one"],
+                                                                 [place, "two"]]
+    assert {(d.place, d.name) for d in result.differences if d.different} == {(place, "list[1]")}
+
+
+def test_runs_of_which_nothing_can_be_compared_are_not_identical(tmp_path):
+    """Both hold an unfinished checkpoint only; fails when ``identical`` leaves out ``bool(self.differences)``."""
+    for name in ("a", "b"):
+        folder = runs.prepare_run_folder(tmp_path / name) / "checkpoints"
+        (folder / layout.checkpoint_name(1, 1)).touch()
+    result = compare_runs(tmp_path / "a", tmp_path / "b")
+    assert (result.missing, result.differences) == ([], [])
+    assert not result.identical
+
+
 def test_only_the_newest_checkpoint_must_be_the_same(tmp_path):
     """A stop and resume leaves another set of older checkpoints: told, no difference."""
     a, b = make_run(tmp_path / "a"), make_run(tmp_path / "b")

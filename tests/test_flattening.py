@@ -12,6 +12,7 @@ from scipy import stats
 
 from f2s_hpc.analysis.boundaries import basins, section_particles
 from f2s_hpc.analysis.flattening import (
+    LEAST_POINTS,
     flattening_from_points,
     flattening_from_sizes,
     mean_difference,
@@ -45,6 +46,15 @@ def test_ellipsoids_as_points():
     assert found.exact_6 == pytest.approx(found.equation_6, rel=3e-3, nan_ok=True)
     assert np.isnan(found.equation_5[1])  # five points are no shape
     assert found.count == 2
+
+
+def test_as_few_points_as_a_scene_may_ask_for_are_a_shape():
+    """Fails when ``count >= LEAST_POINTS`` becomes ``>``: a run with the fewest tracers would measure nothing."""
+    ball = np.concatenate([np.zeros((LEAST_POINTS - 6, 3)), np.eye(3), -np.eye(3)]) * 1e-6
+    index = np.repeat([0, 1], [LEAST_POINTS, LEAST_POINTS - 1])
+    found = flattening_from_points(index, np.concatenate([ball, ball[1:]]), np.full(2, 2e-6))
+    assert found.width[0] == pytest.approx(2e-6 * math.sqrt(5.0 * 2.0 / LEAST_POINTS))
+    assert np.isnan(found.width[1])
 
 
 def test_width_of_an_ellipsoid_with_three_axes_is_the_mean_square_one():
@@ -140,7 +150,13 @@ def test_every_brick_is_found(rng):
     measured = section_particles(peeq, np.ones(peeq.shape), DX, ground=0)
     assert np.median(measured.width) == pytest.approx(24e-6, abs=2e-6)
     assert np.median(measured.height) == pytest.approx(10e-6, abs=2e-6)
-    assert (measured.labels[[0, -1]] == 0).all()  # what the edge cuts is not measured
+    # what an edge cuts is not measured: fails when ``edge`` leaves out one of the four
+    assert (measured.labels[[0, -1]] == 0).all()
+    assert (measured.labels[:, [0, -1]] == 0).all()
+    # in the substrate nothing is drawn: fails without ``boundaries[:ground] = False``
+    above = section_particles(peeq, np.ones(peeq.shape), DX, ground=40).boundaries
+    assert not above[:40].any()
+    assert (above[40:] == measured.boundaries[40:]).all()
 
 
 def test_low_ridges_are_no_boundaries(rng):
@@ -152,6 +168,32 @@ def test_low_ridges_are_no_boundaries(rng):
     section, material = np.tile(row, (12, 1)), np.ones((12, 61), dtype=bool)
     assert basins(section, material, prominence=0.15, smoothing=0.0).max() == 1
     assert basins(section, material, prominence=0.05, smoothing=0.0).max() == 2
+
+
+def test_a_basin_of_a_few_cells_is_noise():
+    """Two rings, one around a single cell; fails when ``own.sum() < least_pixels`` is left out."""
+    peeq = np.ones((40, 40))
+    for row, column, half in ((8, 8, 0), (25, 25, 4)):
+        peeq[row - half - 1:row + half + 2, column - half - 1:column + half + 2] = 5.0
+        peeq[row - half:row + half + 1, column - half:column + half + 1] = 0.5
+    found = section_particles(peeq, np.ones(peeq.shape), DX, ground=0, smoothing=0.0)
+    assert found.width == pytest.approx([11e-6])
+    assert section_particles(peeq, np.ones(peeq.shape), DX, 0, smoothing=0.0, least_pixels=9).width.size == 2
+
+
+def test_basins_that_became_one_are_as_deep_as_their_deeper_part():
+    """A deep basin takes a shallow one, and the next ridge is held to it; fails when ``_merge`` keeps the shallow."""
+    row = np.interp(np.arange(91), [0, 15, 30, 45, 60, 75, 90], [1.0, 0.2, 1.0, 0.9, 1.02, 0.3, 1.0])
+    section = np.tile(row, (8, 1))
+    assert basins(section, np.ones(section.shape, dtype=bool), prominence=0.15, smoothing=0.0).max() == 2
+
+
+def test_void_does_not_dilute_the_strain_beside_it():
+    """Even strain in thin arms and a thick middle; fails when ``_smoothed`` is not divided by the material's weight."""
+    material = np.zeros((11, 41), dtype=bool)
+    material[5] = True
+    material[2:9, 17:24] = True
+    assert basins(np.where(material, 0.7, 0.0), material).max() == 1
 
 
 def test_void_parts_particles_of_equal_strain():
@@ -167,7 +209,7 @@ def test_void_parts_particles_of_equal_strain():
 
 
 def test_regression_and_its_bands(rng):
-    """Against closed forms. Fails when a band has another level, or n - 1 degrees of freedom."""
+    """Against closed forms. Fails when a band has another level, n - 1 degrees of freedom, or the slope no error."""
     x = np.linspace(10e-6, 60e-6, 25)
     y = 1.1 + 6e3 * x + 0.1 * rng.standard_normal(x.size)
     fit = regression(np.append(x, np.nan), np.append(y, 1.0))
@@ -178,6 +220,7 @@ def test_regression_and_its_bands(rng):
     assert fit.confidence(x.mean()) == pytest.approx(t * residual / 5.0)
     assert fit.prediction(x.mean()) == pytest.approx(t * residual * math.sqrt(1.04))
     assert fit.confidence(60e-6) > fit.confidence(x.mean())
+    assert fit.slope_error == pytest.approx(residual / math.sqrt(((x - x.mean()) ** 2).sum()))
     assert regression(x[:3], y[:3]) is None
     assert regression(np.ones(9), y[:9]) is None
 

@@ -13,6 +13,7 @@ from f2s_hpc.cycles.insert import OVERFILL, paint_arrivals
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import Batch, smallest_gap
+from f2s_hpc.particles.meeting import LEAD
 
 DX = 3e-6
 CELLS = (24, 20, 40)
@@ -170,6 +171,24 @@ def test_a_faster_sphere_meets_a_slower_one_when_their_gap_is_two_reaches(setup)
     assert np.isinf(flight.contact[2])
 
 
+def test_spheres_that_pass_by_do_not_wait_and_those_that_close_in_slowly_wait_late(setup):
+    """Never in touch, or only below the ground: no wait. At 20 m/s towards each other: ``LEAD`` cells before touch.
+
+    Fails when ``meets`` of ``waits`` asks who comes near, or ``LEAD`` is left out of ``when``.
+    """
+    both, speed = 15e-6, 600.0
+    flight = Flight(DX, setup.state.part.box.extents)
+    for aside, fast in ((both + REACH * DX, -700.0), (0.0, -600.0)):
+        flight.launch(setup.state, spheres((20e-6, 30e-6, 60e-6, 6e-6), (20e-6 + aside, 30e-6, 110e-6, 9e-6),
+                                           velocity=[(0, 0, -500.0), (0, 0, fast)]), DOWN, 0.0)
+        assert np.isinf(flight.contact).all()
+        flight = Flight(DX, setup.state.part.box.extents)
+    gap = 2e-6 + DX
+    flight.launch(setup.state, spheres((30e-6, 30e-6, 300e-6, 6e-6), (30e-6, 30e-6, 300e-6 + both + gap, 9e-6),
+                                       velocity=[(0, 0, -speed), (0, 0, -speed - 20.0)]), DOWN, 1e-6)
+    assert flight.contact == pytest.approx(1e-6 + (gap - DX) / 20.0 - LEAD * DX / speed, rel=1e-12)
+
+
 def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup):
     """Fails if ``_free_places`` looks at material only, or at flying spheres only."""
     flight = Flight(DX, setup.state.part.box.extents)
@@ -216,6 +235,37 @@ def test_of_spheres_launched_into_each_other_the_later_starts_higher(setup):
     assert z[0] == 60e-6
     assert z[1:] - z[:-1] == pytest.approx(16e-6, abs=CLEARANCE * DX)
     assert smallest_gap(flight.spheres) >= 1.0
+
+
+@pytest.mark.parametrize(("place", "velocity", "near"), [
+    ((36e-6, 42e-6), (0.0, 300.0), True), ((36e-6, 38e-6), (0.0, 300.0), False), ((36e-6, 42e-6), (0.0, -300.0), False),
+    ((54e-6, 30e-6), (300.0, 0.0), True), ((45e-6, 30e-6), (300.0, 0.0), False), ((17e-6, 30e-6), (-300.0, 0.0), True),
+    ((22e-6, 30e-6), (-300.0, 0.0), False), ((36e-6, 17e-6), (0.0, -300.0), True)])
+def test_a_side_that_a_sphere_flies_towards_calls_it_down(setup, place, velocity, near):
+    """A box of 72 x 60 um, a radius and a reach of 9 um each; fails when ``_at_side`` mixes up axes or signs."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    flight.launch(setup.state, spheres((*place, 90e-6, 9e-6), velocity=[(*velocity, -1.0)]), DOWN, 0.0)
+    assert (flight.arrivals(setup.state, 1e-12, 1e-12) is not None) is near
+
+
+def test_of_spheres_that_ran_into_each_other_above_the_box_the_upper_waits_on_the_lower(setup):
+    """Both are due; fails when ``_overlapping`` holds none back: their common part would be painted twice."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    flight.launch(setup.state, spheres((30e-6, 30e-6, 60e-6, 6e-6), (33e-6, 30e-6, 110e-6, 9e-6),
+                                       velocity=[(0, 0, -500.0), (0, 0, -700.0)]), DOWN, 0.0)
+    flight.spheres.z[:] = 90e-6, 96e-6
+    flight.contact[:] = 0.0
+    arrived, velocity = flight.arrivals(setup.state, 0.0, 1e-12)
+    assert (arrived.count, arrived.z[0], velocity[2]) == (1, 90e-6, -500.0)
+    assert flight.spheres.z == pytest.approx(90e-6 + np.sqrt((15e-6) ** 2 - (3e-6) ** 2), rel=1e-12)
+
+
+def test_the_volume_in_flight_is_that_between_the_walls(setup):
+    """Half of a sphere on a wall counts, all of one above the box; fails when width and depth change places."""
+    flight = Flight(DX, setup.state.part.box.extents)
+    flight.launch(setup.state, spheres((66e-6, 30e-6, 90e-6, 5e-6), (30e-6, 60e-6, 200e-6, 4e-6)), DOWN, 0.0)
+    wanted = 4.0 / 3.0 * np.pi * ((5e-6) ** 3 + 0.5 * (4e-6) ** 3)
+    assert flight.volume(3e-8) == pytest.approx(wanted, rel=1e-12, abs=0.0)
 
 
 def test_a_sphere_that_does_not_fit_under_the_top_stops_the_run_on_all_ranks(setup):

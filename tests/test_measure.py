@@ -168,6 +168,52 @@ def test_only_what_has_landed_above_the_substrate_counts(state, rng):
     assert abs(found["temperature_p50_degC"] - 100.0 * p50) < 0.3
 
 
+def test_heights_and_temperatures_have_their_percentiles(state, rng):
+    """Columns of any height, as hot as they are strained; fails when a percentile of one number is given another's."""
+    model = build_model(parse_scene(SCENE, "test"))
+    height, fraction = columns(rng, 6.0)
+    peeq = rng.uniform(1.0, 2.0, CELLS[::-1])
+    for name, whole in (("volume_fraction", fraction), ("mass", fraction), ("peeq", peeq),
+                        ("temperature", 273.15 + 100.0 * peeq)):
+        put(state, name, whole)
+    found = agreed(measure.measure_material(state, model, 17e-6, 600.0))
+    above = height * DX - 17e-6
+    assert found["height_mean_m"] == pytest.approx(above.mean(), rel=1e-9)
+    assert found["height_p95_m"] == pytest.approx(np.percentile(above, 95), rel=1e-9)
+    assert found["height_max_m"] == pytest.approx(above.max(), rel=1e-9)
+    assert found["temperature_p50_degC"] == pytest.approx(100.0 * found["peeq_p50"], abs=0.05)
+    assert found["temperature_p95_degC"] == pytest.approx(100.0 * found["peeq_p95"], abs=0.05)
+    assert found["peeq_p50"] < 1.6 < 1.9 < found["peeq_p95"]
+
+
+@pytest.mark.parametrize("heats", [True, False])
+def test_what_no_term_received_is_lost_and_mass_is_told_in_kilograms(state, heats):
+    """An empty box and a ledger written by hand.
+
+    Fails when a numerical term is left out of ``lost``, the shock viscosity stays a loss or is none, the heat that came
+    back is not that of its plastic work, or a mass is in quanta or not that of its name.
+    """
+    model = build_model(parse_scene(SCENE, "test", [f"numerics.viscous_heating={str(heats).lower()}"]))
+    ledger, substrate = build_ledger(model), 700
+    terms = {"brought_in": 10**7, "plastic_work": 4 * 10**6, "shock_viscosity": 10**6, "through_faces": 5 * 10**5,
+             "put_to_sleep": 3 * 10**5, "lost": 2 * 10**5, "capped": 10**5, "returned": 6 * 10**5, "mass_left": 2000,
+             "mass_capped": 300, "mass_lent": 100, "mass_painted": 5000}
+    if mpi.is_root():
+        for name, quanta in terms.items():
+            ledger.add(name, quanta)
+    found = agreed(measure.measure_balance(state, model, ledger, substrate))
+    lost = 1.0 - 0.4 - 0.05 - (0.1 if heats else 0.0)
+    assert found["numerical_loss_fraction"] == pytest.approx(lost, rel=1e-12)
+    back = 0.06 / model.bulk.taylor_quinney
+    assert found["numerical_loss_unheated_fraction"] == pytest.approx(lost - back, rel=1e-12)
+    kilogram = model.mass_quantum * model.bulk.density * DX**3
+    assert found["mass_left_kg"] == pytest.approx(2000 * kilogram, rel=1e-12, abs=0.0)
+    assert found["mass_capped_kg"] == pytest.approx(300 * kilogram, rel=1e-12, abs=0.0)
+    assert found["mass_drift_relative"] == pytest.approx((5000 + 700 - 2000 - 300 - 100) / 5000)
+    quantum = model.mass_quantum * DX**3
+    assert found["dense_height_m"] == pytest.approx((100 - 700) * quantum / (65e-6 * 70e-6), rel=1e-12, abs=0.0)
+
+
 def test_the_dense_height_is_the_painted_volume_over_the_area(state):
     """Fails if the substrate counts (drop ``- substrate_quanta``), or the area is that of one rank."""
     scene = parse_scene(SCENE, "test")

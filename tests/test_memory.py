@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 
+import numpy as np
 import pytest
 from conftest import launch
 
@@ -12,10 +14,10 @@ from f2s_hpc import fields, mpi
 from f2s_hpc.bench.hook import Stopwatches, hooked
 from f2s_hpc.build import build_state
 from f2s_hpc.config import load_scene, scene_names
-from f2s_hpc.grid.box import Box
+from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import ownership_ranges, process_grid
 from f2s_hpc.io import runs
-from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.particles.batch import Batch, BatchPlan, make_batches
 from f2s_hpc.verify.scenes import prepare
 from f2s_hpc.workload import memory
 
@@ -67,6 +69,21 @@ def test_prediction_knows_the_tracers(tmp_path, ranks):
         measured.append(runs.read_summary(tmp_path / f"run-{points}")["peak_memory_bytes_per_rank"])
     assert expected[1] - expected[0] == pytest.approx(measured[1] - measured[0], rel=0.15)
     assert expected[1] > 1.3 * expected[0]
+
+
+def test_planes_are_touched_by_what_lands_before_the_end():
+    """Fails when ``touched_planes`` counts what is still in the air, or leaves out the particle on top."""
+    scene = load_scene("section4", ["cycles.count=2", "cycles.duration=0.3 us", "cycles.last_duration=0.1 us"])
+    dx, ground = scene.domain.cell_size, scene.domain.substrate_height
+    bottom, area = scene.domain.layer_bottom, scene.domain.extents[0] * scene.domain.extents[1]
+    low, high = ground - bottom + 20e-6, ground - bottom + 120e-6  # over the substrate: 0.02 and 0.2 us of flight
+    r = 15e-6
+    batch = Batch(*(np.full(40, 1e-4),) * 2, np.repeat([low + r, high + r], 20), np.full(40, r))
+    # of the second batch the upper half does not come down any more
+    top = ground + 60 * 4.0 / 3.0 * np.pi * r**3 / area + 2.0 * r
+    planes = memory.touched_planes(scene, BatchPlan([batch], [0, 0]))
+    assert planes == math.ceil(top / dx) + GHOST
+    assert planes < scene.domain.cells[2]
 
 
 def test_the_picture_takes_the_place_of_fields_that_were_given_back():

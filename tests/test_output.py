@@ -126,6 +126,21 @@ def test_tables_that_cannot_be_written_cost_no_checkpoint(shared_path, capsys, s
     assert not list(folder.path.glob(".*"))
 
 
+def test_a_table_that_cannot_be_renewed_stays_as_it_was(tmp_path, monkeypatch):
+    """Fails when ``write_text_file`` writes into the file itself: a full disk would cost the numbers of all cycles."""
+    folder = RunFolder(tmp_path, load_scene("splat"))
+    folder.write_tables([{"cycle": 1}], {"status": "running"})
+    before = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    assert set(before) == {layout.SUMMARY_CSV, layout.SUMMARY_JSON}
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(layout, "publish", full)
+    folder.write_tables([{"cycle": 1}, {"cycle": 2}], {"status": "running"})
+    assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == before
+
+
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_run_resumed_with_more_fields_than_its_frames_ends_without_a_picture(tmp_path, ranks):
     """Fails if what the newest frame lacks raises on rank 0 only: rank 1 then waits in the barrier for ever."""
@@ -145,16 +160,22 @@ def test_a_run_resumed_with_more_fields_than_its_frames_ends_without_a_picture(t
 
 
 @pytest.mark.mpi
-def test_a_signal_to_any_rank_is_the_reason_on_all():
-    """Fails if rank 0 looks at its own signal only: it then blames the wall-time budget."""
+@pytest.mark.parametrize("name", ["SIGUSR1", "SIGTERM", "SIGINT"])
+def test_a_signal_to_any_rank_is_the_reason_on_all(name):
+    """Fails if rank 0 looks at its own signal only: it then blames the wall-time budget.
+
+    Or if one of the two signals of batch systems is not listened to: the run would be killed without a checkpoint.
+    """
     numbers = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)
     before = [signal.getsignal(number) for number in numbers]
     try:
         stop = StopRequest(None)
         if mpi.rank() == mpi.size() - 1:
-            os.kill(os.getpid(), signal.SIGUSR1)
+            assert signal.getsignal(signal.Signals[name]) != signal.SIG_DFL
+            os.kill(os.getpid(), signal.Signals[name])
         mpi.barrier()
-        assert stop.reason() == "signal SIGUSR1"
+        assert stop.asked() == (mpi.rank() == mpi.size() - 1)
+        assert stop.reason() == f"signal {name}"
         assert StopRequest(1e-9).reason() == "the wall-time budget is spent"
     finally:
         for number, handler in zip(numbers, before):

@@ -327,6 +327,16 @@ def test_standard_scheme_repeats_files_in_the_recurring_order(tmp_path):
     assert standard.batches[0].count == 4
 
 
+def test_standard_scheme_sprays_every_file(tmp_path):
+    """Three files and no ``batches.count``; fails when ``layers`` is that count alone: one file would be left."""
+    files = [str(tmp_path / f"{number}.csv") for number in range(3)]
+    for number, name in enumerate(files):
+        write_csv(name, Batch(*(np.array([value * UM]) for value in (50 + number, 50, 20, 10))))
+    (batch,) = make_batches(scene(scheme="standard", cycle_count=1, batch_count=0, files=files)).batches
+    assert sorted(batch.x) == pytest.approx([50 * UM, 51 * UM, 52 * UM])
+    assert batch.z == pytest.approx([20 * UM, 20 * UM + 0.2 * MM / 3, 20 * UM + 0.4 * MM / 3])
+
+
 def test_explicit_spheres_are_one_batch():
     plan = make_batches(scene(spheres=[[75 * UM, 60 * UM, 20 * UM, 15 * UM], [0.0, 0.0, 20 * UM, 20 * UM]]))
     assert plan.order == [0] * 5
@@ -353,6 +363,14 @@ def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, spher
         make_batches(scene(spheres=[[value * UM for value in sphere]]))
     towards = np.sign(np.array([75, 60, 100, 20]) - sphere) * [2, 2, 6, 0]
     make_batches(scene(spheres=[list((np.array(sphere) + towards) * UM)]))
+
+
+def test_spheres_that_touch_an_end_of_the_layer_are_inside():
+    """Whatever (height - r) + r rounds to; fails when ``LAYER_TOLERANCE`` is 0."""
+    height = 0.2 * MM
+    rows = [[75 * UM, 60 * UM, height - r, r] for r in np.linspace(5 * UM, 45 * UM, 200)]
+    assert any(z + r > height for _, _, z, r in rows)
+    assert make_batches(scene(spheres=rows)).batches[0].count == 200
 
 
 def test_nothing_to_spray_is_refused():

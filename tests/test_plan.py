@@ -17,7 +17,7 @@ from f2s_hpc.grid.decomposition import ownership_ranges
 from f2s_hpc.particles.batch import Batch, BatchPlan, make_batches
 from f2s_hpc.workload import marks
 from f2s_hpc.workload.expected import ON_GRID, moments, part_cells
-from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, message_seconds, predict, table
+from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, busy_seconds, message_seconds, predict, table
 
 RATES = Rates(1e-3, {SOLID: 6e-7, FLYING: 5e-7}, 0.5, 1.0, 2e9, ((0, 3), (10, 4)), 1, 1, "a test")
 COARSE = ["domain.cell_size=12 um", "particles.flight=eulerian"]
@@ -152,6 +152,51 @@ def test_ranks_of_one_machine_slow_each_other():
     assert together[0] == alone[0]
     busy = [found[1].step_s - found[1].messages_s for found in (alone, together)]
     assert busy[1] == pytest.approx(1.5 * busy[0])
+
+
+def test_a_step_costs_its_solid_and_its_flying_cells_and_what_caches_add():
+    """By hand on one rank. Fails when flying cells are counted among the solid ones too, or ``slower`` is left out."""
+    scene = load_scene("section4", COARSE)
+    moment = list(moments(scene, make_batches(scene)))[20]
+    cells, box = scene.domain.cells[0], Box(scene.domain.cells, 1e-6)
+    whole = ownership_ranges(box, (1, 1, 1))
+    wanted, visited = RATES.per_step, 0
+    for kind, blocks in ((SOLID, moment.solid), (FLYING, moment.blocks - moment.solid)):
+        owned, rows, local = (int(part_cells(blocks, cells, whole, widths)[0, 0, 0])
+                              for widths in ((0, 0, 0), (GHOST, 0, 0), (GHOST,) * 3))
+        assert owned > 1000
+        wanted += RATES.per_cell[kind] * (owned + 1.0 * (rows - owned) + 0.5 * (local - rows))
+        visited += local
+    assert busy_seconds(moment, cells, whole, RATES)[0, 0, 0] == pytest.approx(wanted, rel=1e-12)
+    large = replace(RATES, sizes=((100, 1.0), (visited, 1.25), (10 * visited, 1.25)))
+    assert busy_seconds(moment, cells, whole, large)[0, 0, 0] == pytest.approx(1.25 * wanted, rel=1e-12)
+
+
+def test_the_slowest_rank_ends_the_step():
+    """All load on one side, no messages and no ghosts: no more ranks than the load keeps busy are of use.
+
+    Fails when ``predict`` takes the mean of the ranks, or ``efficiency`` is not that of one rank over as many.
+    """
+    scene = load_scene("section4", [*COARSE, "cycles.count=1", "batches.count=1"])
+    batch = make_batches(scene).batches[0]
+    side = BatchPlan([batch.chosen(batch.x < 60e-6)], [0])
+    free = replace(RATES, per_step=0.0, per_cell={SOLID: 0.0, FLYING: 5e-7}, ghost_share=0.0, end_share=0.0,
+                   packing=1e30, reductions=0)
+    one, four = predict(scene, side, [1, 4], free, Network(0.0, 1e30))
+    assert four.messages_s < 1e-12 * four.step_s
+    assert four.imbalance > 1.2
+    assert four.efficiency <= 1.0 / four.imbalance + 1e-9
+    assert four.efficiency == pytest.approx(one.step_s / (4.0 * four.step_s), rel=1e-9)
+    assert (one.steps, one.total_s) == (four.steps, pytest.approx(one.steps * one.step_s))
+
+
+def test_messages_are_those_of_a_step_not_of_a_remap():
+    """Rates of a round of three steps: a third of its exchanges each; fails when ``/ rates.steps`` is left out."""
+    scene = load_scene("splat")
+    network, ranges = Network(1e-3, 1e9), ([10, 10], [8], [6])
+    seconds, sent = message_seconds(scene, ranges, replace(RATES, reductions=0), network)
+    third, less = message_seconds(scene, ranges, replace(RATES, reductions=0, steps=3), network)
+    assert (3.0 * third == pytest.approx(seconds), 3.0 * less == pytest.approx(sent)) == (True, True)
 
 
 def test_too_many_ranks_for_the_box_are_refused():

@@ -64,8 +64,11 @@ def test_pores_of_a_few_pixels_are_noise():
 
 
 def test_a_tunnel_is_open_and_a_bubble_closed():
-    """Fails when open pores are told by the side of the box, or thin gaps are lost from the sum."""
-    fraction = np.ones((30, 20, 20), dtype=np.float32)
+    """Fails when open pores are told by the side of the box, or thin gaps are lost from the sum.
+
+    The free space above is one layer, the last: fails, too, when a pore is open only above that (``k > top``).
+    """
+    fraction = np.ones((27, 20, 20), dtype=np.float32)
     fraction[26:] = 0.0
     fraction[10:26, 5, 5] = 0.0  # from the surface down, then sideways under material
     fraction[10, 5, 5:12] = 0.0
@@ -83,6 +86,38 @@ def test_a_tunnel_is_open_and_a_bubble_closed():
     assert found.open + found.closed + found.thin == pytest.approx(exact_porosity(fraction, share), rel=1e-5)
     thin = split_pores(fraction, bulk_share(fraction.shape, DX, 4e-6, 24e-6), surface, DX).thin
     assert thin == pytest.approx(20 * 0.25 / (20 * 400), rel=1e-5)
+
+
+def test_the_largest_pore_is_the_largest_closed_one():
+    """Fails when ``volumes`` of all pores stand for those of the ``closed`` ones: the open pore here is larger."""
+    fraction = np.ones((20, 10, 10), dtype=np.float32)
+    fraction[18:] = 0.0
+    fraction[8:18, 2:4, 2:4] = 0.0
+    fraction[5:7, 7, 7] = 0.0
+    found = split_pores(fraction, bulk_share(fraction.shape, DX, 0.0, 18e-6), np.full((10, 10), 18e-6), DX)
+    assert found.pores == 1
+    assert found.largest == pytest.approx(2 * DX**3, rel=1e-5, abs=0.0)
+    assert (found.open, found.closed) == pytest.approx((40 / 1800, 2 / 1800), rel=1e-5)
+
+
+def test_a_cell_that_the_substrate_top_crosses_is_no_bulk_and_one_that_the_zone_crosses_is_in_part():
+    """Fails when ``first`` of ``bulk_share`` is rounded down, or any bulk makes a pixel count (``> 0.0``)."""
+    share = bulk_share((6, 1, 4), DX, 1.5e-6, np.array([[4.4e-6, 4.4e-6, 4.6e-6, 4.6e-6]]))
+    assert share[:, 0, 0] == pytest.approx([0.0, 0.0, 1.0, 1.0, 0.4, 0.0])
+    fraction = np.ones((6, 1, 4))
+    fraction[4] = 0.0  # every pixel of the crossed layer is void: in two columns it counts
+    section = section_porosity(fraction, share, sections=1, smallest=1)
+    assert section.values == pytest.approx([2 / 10, 1 / 3])
+
+
+def test_a_single_section_is_the_middle_one():
+    """Fails when the planes begin at the side of the box (``np.arange(sections) / sections``)."""
+    fraction = np.ones((8, 11, 11))
+    fraction[2:6, 5, :] = 0.0
+    fraction[2:6, :, 5] = 0.0
+    found = section_porosity(fraction, np.ones(fraction.shape), sections=1)
+    assert found.sections == 2
+    assert found.values == pytest.approx([0.5, 0.5])
 
 
 def test_the_surface_zone_follows_valleys_and_walls():

@@ -69,6 +69,24 @@ def test_overlap_of_a_higher_profile_counts_its_excess():
     assert found.over_union == pytest.approx(0.5)
 
 
+def test_what_lies_below_the_substrate_top_has_no_area():
+    """A moat beside the track; fails when ``np.maximum(..., 0.0)`` is left out of ``profile_size`` or ``overlap``."""
+    track = triangle(0.0, 200e-6, 100e-6)
+    moat = Profile(track.x, np.where(np.abs(track.x) > 250e-6, -30e-6, track.height))
+    assert profile_size(moat) == profile_size(track)
+    for one, two in ((moat, track), (track, moat), (moat, moat)):
+        found = overlap(one, two, align=True)
+        assert (found.over_union, found.over_second, found.shift) == pytest.approx((1.0, 1.0, 0.0), abs=1e-9)
+
+
+def test_points_of_a_scan_count_by_their_distance():
+    """A scan three times as fine on one side; fails when ``_centroid`` weighs every point alike."""
+    track = triangle(0.0, 200e-6, 100e-6)
+    x = np.concatenate([np.linspace(-400e-6, 0.0, 600, endpoint=False), np.linspace(0.0, 400e-6, 201)])
+    found = overlap(track, Profile(x, np.interp(x, track.x, track.height)), align=True)
+    assert abs(found.shift) < 0.1e-6
+
+
 def test_half_a_track_is_mirrored():
     whole = mirrored(Profile(np.array([1.0, 3.0]), np.array([7.0, 5.0])))
     assert whole.x.tolist() == [-3.0, -1.0, 1.0, 3.0]

@@ -56,14 +56,48 @@ def test_at_the_cutoff_half_is_roughness_and_pa_keeps_all():
     assert not found.standard
 
 
+def test_profiles_of_different_height_scatter_and_have_mean_lines_of_their_own():
+    """One twice as rough as the other, and higher: means 3/2, deviations 1/2 of the first, and no step between them.
+
+    Fails when the deviations are of other numbers, or ``primary`` is taken about the mean of all profiles
+    (``height.mean()``).
+    """
+    wave = sine(20e-6, 40)
+    found = profile_roughness(np.stack([wave, 2.0 * wave + 40e-6]), DX, 160e-6)
+    Ra, Rq = 2.0 * AMPLITUDE / math.pi, AMPLITUDE / math.sqrt(2.0)
+    assert (found.Ra, found.Ra_scatter) == pytest.approx((1.5 * Ra, 0.5 * Ra), rel=5e-3)
+    assert (found.Rq, found.Rq_scatter) == pytest.approx((1.5 * Rq, 0.5 * Rq), rel=5e-3)
+    assert (found.Pa, found.Pq) == pytest.approx((1.5 * Ra, 1.5 * Rq), rel=5e-3)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_each_direction_of_a_surface_has_its_own_ends(axis):
+    """A surface that varies along one direction only is as rough as its profile, with the ends of that direction.
+
+    Fails when ``areal_roughness`` filters along y with the ends of x (``ends[0], axis=0``), or ``mean_line``
+    renormalises along the last axis always (``shape[-1] = -1``, ``height.shape[-1]``).
+    """
+    ramp = 0.1 * DX * np.arange(50.0)  # mirrored or not, its ends differ
+    surface = np.repeat(np.expand_dims(ramp, 1 - axis), 30, axis=1 - axis)
+    wanted = {ends: profile_roughness(ramp, DX, 40e-6, ends) for ends in (MIRROR, RENORMALISED)}
+    assert wanted[MIRROR].Ra < 0.8 * wanted[RENORMALISED].Ra
+    for own, other in ((MIRROR, RENORMALISED), (RENORMALISED, MIRROR)):
+        found = areal_roughness(surface, DX, 40e-6, (own, other) if axis == 1 else (other, own))
+        assert (found.Sa, found.Sq) == pytest.approx((wanted[own].Ra, wanted[own].Rq), rel=1e-9, abs=0.0)
+
+
 def test_areal_roughness_of_an_egg_box():
-    """cos x cos y at the cutoff along both: the mean surface keeps 0.5 x 0.5. Fails when one direction is left out."""
+    """cos x cos y at the cutoff along both: the mean surface keeps 0.5 x 0.5.
+
+    Fails when one direction is left out, or a number without filter is taken of what the filter left.
+    """
     wave = sine(40e-6, 5) / AMPLITUDE
     surface = AMPLITUDE * np.outer(wave, wave) + 50e-6
     found = areal_roughness(surface, DX, 40e-6)
     assert found.Sq == pytest.approx(0.75 * AMPLITUDE / 2.0, rel=3e-3)
     assert found.Sq_unfiltered == pytest.approx(AMPLITUDE / 2.0, rel=1e-6)
     assert found.Sa == pytest.approx(0.75 * AMPLITUDE * (2.0 / math.pi) ** 2, rel=6e-3)
+    assert found.Sa_unfiltered == pytest.approx(AMPLITUDE * (2.0 / math.pi) ** 2, rel=6e-3)
     assert found.Sz_unfiltered == pytest.approx(2.0 * AMPLITUDE, rel=1e-2)
 
 

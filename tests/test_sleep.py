@@ -156,6 +156,35 @@ def test_it_wakes_when_flow_comes_near():
     assert not state.views["velocity_z"][k + state.floor - floor].any()
 
 
+def test_pressure_keeps_awake_and_the_floor_goes_on_rising():
+    """Nothing moves, but one plane is under pressure, as where a wave is thrown back.
+
+    Fails when ``_planes`` takes speed alone, or ``find_floor`` takes what sleeps already for the surface (without
+    ``low[:state.floor] = False``).
+    """
+    setup = make_block((5, 5, 24), SLEEPING, sides=ALL_SYMMETRY)
+    state = setup.state
+    assert sleep.find_floor(state, SLEEPING) == 24 - DEPTH
+    state.set_floor(5)
+    assert sleep.find_floor(state, SLEEPING) == 24 - DEPTH
+    state.owned("mass")[15] = 1.01
+    state.exchange(("mass",))
+    assert sleep.find_floor(state, SLEEPING) == 14
+
+
+def test_what_wakes_has_the_heat_of_the_time_that_it_slept():
+    """Fails when ``wake_for`` leaves ``_conduct_asleep`` out: heat would stand still since the last look."""
+    setup = make_block((5, 5, 24), SLEEPING, sides=ALL_SYMMETRY)
+    state, asleep = setup.state, sleep.Sleep()
+    state.owned("temperature")[4] = 900.0
+    state.exchange(("temperature",))
+    state.set_floor(16)
+    sleep.wake_for(state, SLEEPING, asleep, 1e-7, 16 * DX)
+    assert (asleep.since, state.floor) == (1e-7, 16 - sleep.MARGIN)
+    assert state.owned("temperature")[4].max() < 899.0
+    assert state.owned("temperature")[5].min() > 298.5
+
+
 def test_material_that_is_put_in_wakes_what_it_may_meet(tmp_path):
     """Spheres that land on a floor just under the surface, as in a pit: it falls below them before they are painted.
 

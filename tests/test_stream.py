@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -165,6 +166,60 @@ def test_the_fits_of_a_stream_without_lateral_velocity():
         fit_stream(Measurement("flat", sample.diameter, sample.velocity, flat))
 
 
+def test_the_zero_of_the_measuring_device_does_not_matter():
+    """Places 2 mm off: the same curves about the jet's axis.
+
+    Fails when ``fit_stream`` counts places from the device's zero, or ``lateral_mean_error`` is the spread.
+    """
+    sample = read_measurement("synthetic")
+    moved = dataclasses.replace(sample, lateral_position=sample.lateral_position + 2 * MM)
+    fit, other = fit_stream(sample), fit_stream(moved)
+    assert other.number.centre - fit.number.centre == pytest.approx(2 * MM, rel=1e-4)
+    for one, two in ((fit.speed, other.speed), (fit.lateral, other.lateral)):
+        assert two.coefficients == pytest.approx(one.coefficients, rel=1e-3, abs=0.05 * one.errors[1])
+    drift = sample.lateral_velocity
+    assert fit.lateral_spread == pytest.approx(drift.std(ddof=1), rel=1e-12)
+    assert fit.lateral_mean_error == pytest.approx(drift.std(ddof=1) / math.sqrt(drift.size), rel=1e-12)
+
+
+def test_counts_that_scatter_more_than_chance_widen_errors_and_bands():
+    """Every particle four times: the same curve, a dispersion of four times as much, and bands by Student's t.
+
+    Fails when ``dispersion`` is 1 always, or ``band`` takes the normal quantile with it.
+    """
+    x = SechProfile(0.0, 1.2 * MM).sample(900, -3.5 * MM, 3.5 * MM, generator(6))
+    once, four = fit_number(x, "test", bins=20), fit_number(np.repeat(x, 4), "test", bins=20)
+    middle = 0.5 * (once.edges[1:] + once.edges[:-1])
+    scatter = float((np.square(once.counts - once.at(middle)) / once.at(middle)).sum())
+    assert once.dispersion == 1.0
+    assert four.dispersion == pytest.approx(4.0 * scatter / 17, rel=1e-4)
+    assert (four.centre, four.width) == pytest.approx((once.centre, once.width), rel=1e-4)
+    assert four.errors[1:] == pytest.approx(0.5 * math.sqrt(four.dispersion) * once.errors[1:], rel=1e-3)
+    slopes = []
+    for name in ("peak", "centre", "width"):
+        step = 1e-4 * abs(four.width if name != "peak" else four.peak)
+        high, low = (dataclasses.replace(four, **{name: getattr(four, name) + s}).at(1 * MM) for s in (step, -step))
+        slopes.append((high - low) / (2.0 * step))
+    own = float(np.array(slopes) @ four.covariance @ np.array(slopes))
+    t = 1.739607  # 0.95 quantile of Student's t with 17 degrees of freedom
+    assert float(four.band(1 * MM)) == pytest.approx(t * math.sqrt(four.dispersion * four.at(1 * MM) + own), rel=1e-5)
+
+
+def test_the_record_has_each_number_under_its_name():
+    """Fails when values and errors of a fit are paired in another order, or a band is not that of the middle."""
+    fit = fit_stream(read_measurement("synthetic"))
+    record = as_record(fit)
+    number, size = record["number_over_lateral_position"], record["velocity_over_diameter"]
+    for name, value, error in zip(("peak_per_m", "centre_m", "width_m"),
+                                  (fit.number.peak, fit.number.centre, fit.number.width), fit.number.errors):
+        assert number[name] == {"value": value, "standard_error": error}
+    assert number["bins"] == 29  # Rice's rule for 3000 particles
+    assert size["slope_1_s"] == {"value": fit.size.coefficients[1], "standard_error": fit.size.errors[1]}
+    middle = 0.5 * (fit.measurement.diameter.min() + fit.measurement.diameter.max())
+    assert size["prediction_half_width_mid_m_s"] == pytest.approx(float(fit.size.band(middle)), rel=1e-12)
+    assert size["prediction_half_width_mid_m_s"] < float(fit.size.band(0.0))
+
+
 # --- the synthetic sample --------------------------------------------------------------------------------------------
 
 
@@ -216,6 +271,9 @@ def test_stream_prints_the_fits_and_writes_json_and_picture(capsys, shared_path)
         assert f"{1e3 * fit.number.width:.4f}" in out
         assert "90 % prediction bands" in out
         assert "625.4 m/s at 10.0 um" in out
+        # per um: fails when the slope over the diameter has another scale
+        line = next(text for text in out.splitlines() if text.endswith("m/s/um"))
+        assert f"{1e-6 * fit.size.coefficients[1]:.5g}" in line
 
 
 def test_a_scene_takes_the_fits(tmp_path, monkeypatch):
@@ -335,6 +393,7 @@ def test_feed_numbers_against_the_closed_form_and_table_4():
         wanted = 42.2e-3 / 60 * 0.0206 * 7.3e-3 / speed / 8960 / powder().mean_particle_volume()
         assert count.particles == pytest.approx(wanted, rel=1e-12)
         assert count.time == pytest.approx(7.3e-3 / speed, rel=1e-12)
+        assert count.mass == pytest.approx(42.2e-3 / 60 * 0.0206 * 7.3e-3 / speed, rel=1e-12)
         assert count.whole_particles == count.paper == paper
         assert count.paper_law == pytest.approx(10236 * 0.160 / speed, rel=1e-12)
         assert count.particles == pytest.approx(count.paper_law, rel=0.03)

@@ -15,7 +15,7 @@ from f2s_hpc.cli.main import main
 from f2s_hpc.errors import InputError, UnstableStep
 from f2s_hpc.verify import suite
 from f2s_hpc.verify.box import make_model
-from f2s_hpc.verify.case import Case, Measured
+from f2s_hpc.verify.case import Case, Measured, judged
 from f2s_hpc.verify.piston import two_waves
 from f2s_hpc.verify.registry import CASES, find
 
@@ -257,6 +257,22 @@ def row(**changed) -> dict:
     return {"case": "c", "quantity": "q", "resolution": 8.0, "dx_m": 0.1, "value": 1.0, "reference": None, "error": 0.1,
             "order": None, "bar": None, "least_order": None, "passed": None, "steps": 5, "cell_steps": 50,
             "wall_s": 0.5, "compares": True} | changed
+
+
+def test_a_bar_and_an_order_are_met_or_missed():
+    """Errors 0.4, 0.1, 0.1 at spacings 2, 1, 1/2. Fails when a bar that is just met is missed, one of two met bars is
+    enough, an order that is not known passes, or quantities that do not compare have one.
+    """
+    def rows(bar: float | None, least_order: float | None, compares: bool = True) -> list:
+        return judged("c", [Measured("q", n, dx, 1.0, None, error, bar, least_order, compares)
+                            for n, (dx, error) in enumerate(((2.0, 0.4), (1.0, 0.1), (0.5, 0.1)))])
+
+    assert [row.order for row in rows(None, None)] == [None, 2.0, 0.0]
+    assert [row.passed for row in rows(None, None)] == [None] * 3
+    assert [row.passed for row in rows(0.1, None)] == [False, True, True]
+    assert [row.passed for row in rows(None, 2.0)] == [False, True, False]
+    assert [row.passed for row in rows(0.1, 2.0)] == [False, True, False]
+    assert [row.order for row in rows(0.1, None, False)] == [None] * 3
 
 
 def test_tables_say_what_is_missed():

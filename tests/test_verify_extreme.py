@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from f2s_hpc import mpi
+from f2s_hpc.cli.main import main
 from f2s_hpc.config.load import load_scene, parse_scene
 from f2s_hpc.config.schema import SPEED_LIMITS
 from f2s_hpc.config.sections import Numerics
@@ -306,6 +309,17 @@ def test_fuzz_on_ranks_is_the_same():
     seen = mpi.all_gather([(o.scene, o.verdict, o.steps, o.peeq_max, o.temperature_max, o.wall_s) for o in outcomes])
     assert all(row == seen[0] for row in seen)
     assert outcomes[0].verdict == watch.STABLE
+
+
+@pytest.mark.parametrize(("verdict", "code"), [(watch.STABLE, 0), (watch.FAILED, 1)])
+def test_one_failure_is_the_exit_code_of_all(verdict, code, monkeypatch, tmp_path, capsys):
+    """Fails when ``stability`` returns 0 always, or does not write what it found."""
+    monkeypatch.setattr(extreme, "run", lambda *_, report: [watch.Outcome("first", watch.STABLE)])
+    monkeypatch.setattr(fuzz, "run", lambda *_, report: [watch.Outcome("second", verdict, "it grew")])
+    assert main(["verify", "--extreme", "--json", str(tmp_path / "found.json")]) == code
+    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert [(row["scene"], row["verdict"]) for row in found] == [("first", watch.STABLE), ("second", verdict)]
+    assert "it grew" in capsys.readouterr().out
 
 
 def test_fuzz_scenes_come_from_their_seed():

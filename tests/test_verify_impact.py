@@ -15,10 +15,12 @@ from f2s_hpc import mpi
 from f2s_hpc.cycles import measure
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import ORIGIN
+from f2s_hpc.solver.ledger import ENERGY_TERMS
 from f2s_hpc.verify import contact, deposit, impact, shapes, taylor
 from f2s_hpc.verify.box import ALL_SYMMETRY
 from f2s_hpc.verify.case import Case, Row, judged
 from f2s_hpc.verify.scenes import empty_setup, scene_setup, write_scene
+from f2s_hpc.verify.splat import Splat
 
 CASES = {case.name: case for module in (taylor, impact, deposit, contact) for case in module.CASES}
 
@@ -252,6 +254,57 @@ def test_energy_of_a_particle(name):
     assert sum(parts) == pytest.approx(found["numerical loss", 12.0].measured.value, rel=1e-9)
 
 
+def made_splat(impact_: impact.Impact, level: float, _) -> SimpleNamespace:
+    """Return what a run of an impact would, in round numbers, and with a loss of a tenth."""
+    energy = dict.fromkeys(ENERGY_TERMS, 0.0) | {"brought_in": 1.0, "plastic_work": 0.9, "hourglass": 0.1}
+    return SimpleNamespace(
+        dx=impact_.diameter / level, width=1.2 * impact_.duration, height=1.0, crater=0.4 * impact_.diameter,
+        peeq_p95=1.0, flattening=lambda cells: cells, settings=SimpleNamespace(
+            courant=0.5, remap_courant=0.4, strain_per_step=0.1, strain_per_remap=0.2),
+        balance={"energy": energy, "numerical_loss_fraction": 0.1}, cost={"steps": 1, "cell_steps": 1, "wall_s": 1.0})
+
+
+def test_flattening_is_told_as_from_the_cell_centres_of_another_code():
+    """A sphere that became an ellipsoid of 0.6 of its height, as 24 cells per diameter see both.
+
+    Fails when ``Splat.flattening`` leaves out what cell centres add to a moment (``rough = 0.0``): off by 0.0014.
+    """
+    def seen(height: float) -> float:
+        """Return 2 sqrt(5) sigma of the layers of an ellipsoid (1/24 thick), each weighed by its volume."""
+        edges = np.linspace(-1.0, 1.0, 49)
+        z = np.clip(edges / (0.5 * height), -1.0, 1.0)
+        volume, middle = np.diff(z - z**3 / 3.0), 0.5 * (edges[:-1] + edges[1:])
+        return 2.0 * math.sqrt(5.0 * float((volume * middle**2).sum() / volume.sum()))
+
+    found = Splat(1e-6, 25e-6, 15e-6, *[0.0] * 4, {}, None, 1, 1, 1.0)
+    assert found.flattening(1e9) == pytest.approx(0.4, rel=1e-12)
+    assert found.flattening(24.0) == pytest.approx(1.0 - seen(0.6) / seen(1.0), abs=3e-4)
+
+
+def test_bars_hold_from_their_resolution_on(monkeypatch):
+    """Published shapes from 24 cells on, losses from 8 and 12; flattening as a code of 24 cells tells it.
+
+    Fails when a bar begins at the next finer resolution, or the loss of a coarse run passes that of a fine one.
+    """
+    monkeypatch.setattr(impact, "splat", made_splat)
+    found = rows("impact-jc", "resolutions=12,18,24", "speeds=300,520")
+    bars = {level: {row.measured.bar for (_, at), row in found.items() if at == level} for level in (12.0, 18.0, 24.0)}
+    assert bars == {12.0: {None}, 18.0: {None}, 24.0: {0.06}}
+    assert found["flattening, 300 m/s", 12.0].measured.value == 24.0
+    assert found["crater depth / D, 300 m/s", 24.0].measured.error == pytest.approx(0.4 / 0.177 - 1.0)
+    found = rows("energy-ge", "resolutions=6,8,12")
+    losses = [found["numerical loss", level] for level in (6.0, 8.0, 12.0)]
+    assert [(row.measured.bar, row.passed) for row in losses] == [(None, None), (0.15, True), (0.08, False)]
+
+
+def test_a_larger_particle_is_followed_for_longer(monkeypatch):
+    """The paper's cells: 19 um for 19/30 of the time. Fails when ``run_paper_cells`` takes one duration for all."""
+    monkeypatch.setattr(impact, "splat", made_splat)
+    found = rows("impact-paper-cells")
+    width = found["width / D, D10", 19e-6 / 4e-6].measured.value
+    assert width == pytest.approx(1.2 * 80e-9 * 19.0 / 30.0 / 19e-6, rel=1e-12)
+
+
 # --- deposits ---------------------------------------------------------------------------------------------------
 
 
@@ -288,6 +341,22 @@ def test_a_deposit_of_nothing_but_its_scene():
     assert (small.cycles.count, small.domain.cells[:2], small.batches.particles) == (2, (18, 18), 21)
     whole = deposit.section4_scene(CASES["section4"].options(True, []), 3e-6)
     assert (whole.cycles.count, whole.domain.cells, whole.batches.particles) == (10, (117, 117, 200), 500)
+
+
+def test_the_loss_of_section4_has_the_bar_of_its_cells(monkeypatch):
+    """6, 4 and 3 um; coarser cells have none. Fails when a mesh is held to the bar of another."""
+    setup = SimpleNamespace(state=None, model=None, ledger=None, clock=SimpleNamespace(steps=1))
+    balance = {"energy": {"time_step": 0.001, "remainder": 0.003, "brought_in": 1.0}, "numerical_loss_fraction": 0.15,
+               "numerical_loss_unheated_fraction": 0.1, "mass_drift_relative": 1e-13}
+    monkeypatch.setattr(deposit, "_deposited", lambda scene: (setup, 0))
+    monkeypatch.setattr(deposit, "cell_steps", lambda setup: 1)
+    monkeypatch.setattr(deposit.measure, "measure_balance", lambda *_: balance)
+    found = rows("section4", "resolutions=4,5,7.5,10")
+    losses = [found["numerical loss", level] for level in (4.0, 5.0, 7.5, 10.0)]
+    assert [row.measured.bar for row in losses] == [None, 0.30, 0.20, 0.12]
+    assert [row.passed for row in losses] == [None, True, True, False]
+    assert found["remainder", 5.0].measured.error == pytest.approx(0.004)
+    assert found["remainder", 5.0].passed
 
 
 # --- contact ----------------------------------------------------------------------------------------------------

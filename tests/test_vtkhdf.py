@@ -199,6 +199,36 @@ def test_frames_that_do_not_fit_stay_out_of_the_index(frames):
 
 
 @pytest.mark.mpi
+def test_of_two_frames_of_one_time_the_index_takes_the_newer(frames):
+    """Times must rise for ParaView; fails when ``>=`` of ``_usable_frames`` becomes ``>``."""
+    for number in (0, 1):
+        vtkhdf.write_frame(frames, number, 1e-7, my_blocks(number), ORIGIN, SPACING, {})
+    (note,) = vtkhdf.update_index(frames)
+    assert "frame_000000.vtkhdf: not earlier than frame_000001" in note
+    with h5py.File(frames.parent / "deposit.vtkhdf", "r") as file:
+        assert file["f2s"].attrs["frames"].tolist() == [1]
+
+
+@pytest.mark.mpi
+def test_an_index_that_cannot_be_renewed_stays_as_it_was(frames, monkeypatch):
+    """Fails when ``_update_index`` writes into the index itself: a full disk would leave half of it."""
+    write(frames, 0)
+    vtkhdf.update_index(frames)
+    index = frames.parent / "deposit.vtkhdf"
+    before = index.read_bytes()
+    write(frames, 1)
+
+    def half(file, *_):
+        file.create_group("VTKHDF")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(vtkhdf, "_write_index", half)
+    with pytest.raises(F2SError, match=r"cannot write deposit\.vtkhdf.*No space left"):
+        vtkhdf.update_index(frames)
+    assert index.read_bytes() == before
+
+
+@pytest.mark.mpi
 def test_no_frames_no_index(frames):
     assert vtkhdf.update_index(frames) == []
     assert not (frames.parent / "deposit.vtkhdf").exists()

@@ -1,0 +1,185 @@
+"""Cycles of short runs: stops at the end of one, frames at their times, what is counted and what is written."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from f2s_hpc.cli.main import main
+from f2s_hpc.config import parse_scene
+from f2s_hpc.config.describe import checkpoint_bytes, frame_count
+from f2s_hpc.cycles import progress
+from f2s_hpc.cycles.supply import Supply
+from f2s_hpc.cycles.tracers import PLACES, bytes_saved
+from f2s_hpc.io import layout, runs
+from f2s_hpc.io.checkpoint import list_checkpoints
+from f2s_hpc.solver import sleep
+from f2s_hpc.verify.scenes import prepare
+
+SCENE = """
+title = "Short cycles"
+domain = { size = ["36 um", "48 um", "96 um"], cell_size = "4 um", substrate_height = "16 um", \
+particle_layer_height = "56 um" }
+material = { name = "copper-ge" }
+particles = { speed = "615 m/s", temperature = "450 degC", flight = "eulerian" }
+batches = { spheres = [["14 um", "15 um", "11 um", "10 um"], ["25 um", "35 um", "11 um", "9 um"]] }
+cycles = { count = 3, duration = "2 ns" }
+output = { picture = false }
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return ``run(code, *settings)``: run SCENE in this process, check the exit code, return the folder."""
+    def start(code: int, *settings: str) -> pathlib.Path:
+        (tmp_path / "short.toml").write_text(SCENE, encoding="utf-8")
+        words = [word for setting in settings for word in ("--set", setting)]
+        assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run"), *words]) == code
+        return tmp_path / "run"
+
+    return start
+
+
+# --- stops --------------------------------------------------------------------------------------------------
+
+
+def test_a_stop_at_the_end_of_a_cycle_leaves_a_checkpoint_to_go_on_from(run):
+    """Cycles of a single step, the budget spent before the first; the scene asks for no checkpoints.
+
+    Fails when ``_finish_cycle`` saves only what the scene asks for, or the run goes on after the cycle of the stop.
+    """
+    folder = run(75, "cycles.duration=0.01 ns", "run.wall_time=1 us", "output.checkpoints=false")
+    summary = runs.read_summary(folder)
+    assert (summary["status"], summary["cycles"], summary["steps"]) == ("timeout", 1, 1)
+    assert len(list_checkpoints(folder / layout.CHECKPOINTS)) == 1
+    assert main(["resume", str(folder), "--set", "run.wall_time=1 h"]) == 0
+    summary = runs.read_summary(folder)
+    assert (summary["status"], summary["cycles"]) == ("complete", 3)
+    assert [row["cycle"] for row in runs.read_cycle_table(folder)] == ["1", "2", "3"]
+
+
+def test_a_stop_in_the_last_step_of_all_is_none(run):
+    """Fails when the end of the last cycle passes for a timeout: a batch system would start the run again for ever."""
+    folder = run(0, "cycles.count=1", "cycles.duration=0.01 ns", "run.wall_time=1 us")
+    assert runs.read_summary(folder)["status"] == "complete"
+
+
+# --- files --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("settings", "times"), [
+    (["output.frame_interval=1 ns"], [1, 2, 3, 4, 5, 6]), (["output.frame_interval=1.5 ns"], [1.5, 2, 3, 4, 4.5, 6]),
+    (["output.frame_interval=1.5 ns", 'output.frames="none"'], [1.5, 3, 4.5, 6]), ([], [2, 4, 6])])
+def test_frames_come_at_their_times_and_once_only(run, settings, times):
+    """Also where an interval ends with a cycle; fails when that is written twice, or ``frame_count`` counts it twice.
+
+    A frame comes after the step that passes its time.
+    """
+    folder = run(0, *settings)
+    metas = [runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(n)) for n in runs.list_frames(folder)]
+    found = [1e9 * meta.time_s for meta in metas]
+    assert len(found) == len(times) == frame_count(parse_scene(SCENE, "test", settings))
+    step = 1e9 * runs.read_summary(folder)["time_s"] / runs.read_summary(folder)["steps"]
+    assert all(wanted - 1e-9 <= time < wanted + 2.0 * step for time, wanted in zip(found, times))
+    if 'output.frames="none"' not in settings:
+        ends = [round(time) for time, meta in zip(found, metas) if meta.provenance["ends_cycle"]]
+        assert ends == [2, 4, 6]
+
+
+def test_the_cycle_table_holds_every_digit_of_the_summary(run):
+    """Fails when ``_flat`` rounds the energies."""
+    folder = run(0)
+    summary, row = runs.read_summary(folder), runs.read_cycle_table(folder)[-1]
+    for name, value in summary["energy"].items():
+        assert float(row[f"energy_{name}_J"]) == value, name
+    assert float(row["dense_height_m"]) == summary["dense_height_m"]
+
+
+def test_what_check_foretells_of_files_is_what_they_take(run):
+    """Fails when nodes are counted as cells in ``checkpoint_bytes``, or one of three places in ``bytes_saved``."""
+    folder = run(0, "output.tracers=50")
+    arrays, _ = runs.open_checkpoint_serial(list_checkpoints(folder / layout.CHECKPOINTS)[-1])
+    points = sum(arrays.pop(name).nbytes for name in PLACES)
+    assert checkpoint_bytes(parse_scene(SCENE, "test")) == sum(array.nbytes for array in arrays.values())
+    count = runs.read_summary(folder)["tracers"]
+    assert count > 0
+    assert bytes_saved(1, count)[0] == points
+
+
+# --- what is counted ----------------------------------------------------------------------------------------
+
+
+def put_in(text: str, *overrides: str) -> Supply:
+    """Return the supply of a scene, nothing put in yet."""
+    scene = parse_scene(text, "test", overrides)
+    setup, plan = prepare(scene)
+    return Supply(scene, plan, setup.state, setup.model, setup.clock, setup.ledger)
+
+
+@pytest.mark.parametrize("flight", ["eulerian", "ballistic"])
+def test_particles_that_were_moved_add_up_over_cycles_and_a_resume(flight):
+    """A second batch on top of the first, before a step is taken.
+
+    Fails when ``insert`` forgets those moved before, ``restore`` does, or ``row`` leaves out those raised in flight.
+    """
+    supply = put_in(SCENE, f"particles.flight={flight}")
+    reports = [supply.insert(cycle)[0] for cycle in range(3)]
+    moved = [report.moved for report in reports]
+    assert min(moved[1:]) > 0
+    assert supply.row()["particles_moved"] == sum(moved)
+    assert supply.row()["particles"] + supply.row()["particles_waiting"] == 6
+    if flight == "ballistic":
+        supply.flight.raised += 2
+        assert supply.row()["particles_moved"] == sum(moved) + 2
+        assert supply.row()["volume_in_flight_m3"] == pytest.approx(
+            3 * 4 / 3 * np.pi * (10e-6**3 + 9e-6**3), rel=1e-9, abs=0.0)
+    other = put_in(SCENE, f"particles.flight={flight}")
+    other.restore(json.loads(json.dumps(supply.attributes())))
+    assert other.row() == supply.row()
+
+
+@pytest.mark.parametrize("flight", ["eulerian", "ballistic"])
+def test_the_time_step_knows_of_what_was_just_put_in(flight):
+    """Fails when ``_paint`` leaves out ``put_in``, or ``_put_down`` the speed: the next step would be one of rest."""
+    supply = put_in(SCENE, f"particles.flight={flight}", "batches.spheres=[['14 um', '15 um', '25 um', '10 um']]")
+    limits = supply.clock.limits
+    assert limits.heavy_speed == 0.0
+    supply.insert(0)
+    if flight == "ballistic":
+        assert limits.heavy_speed == 0.0
+        assert supply.land_all().count == 1
+    assert limits.heavy_speed == 615.0
+    assert (limits.gradient > 615.0 / 4e-6) is (flight == "eulerian")
+
+
+def test_a_batch_that_is_painted_wakes_what_sleeps_below_it():
+    """Fails when ``_paint`` leaves ``wake_for`` out: what was put in would meet a rigid floor."""
+    supply = put_in(SCENE, "domain.substrate_height=40 um", "domain.particle_layer_height=36 um",
+                    "numerics.sleeping_depth=32 um")
+    supply.state.set_floor(9)
+    supply.insert(0)
+    assert supply.state.floor == 15 - sleep.MARGIN  # the layer begins 60 um above the bottom
+
+
+# --- what is said -------------------------------------------------------------------------------------------
+
+
+def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
+    """Half was done before; a tenth in 20 s leaves 80 s. Fails when the whole time counts, or what others did."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    line = progress.Progress(True, 1e-6, 0.5e-6, 10.0)
+    clock = SimpleNamespace(time=0.6e-6, in_cycle=0.1e-6, steps=7, dt=1e-10, limit="sound",
+                            limits=SimpleNamespace(heavy_speed=615.0))
+    now[0] = 109.0
+    line.step(clock, 1, 2, 0.5e-6)
+    assert not capsys.readouterr().out
+    now[0] = 120.0
+    line.step(clock, 1, 2, 0.5e-6)
+    said = capsys.readouterr().out
+    assert re.search(r"cycle 2/2 .* 60\.0 %  ETA 0:01:20$", said.strip())
