@@ -239,8 +239,8 @@ class Counter:
             tally.operations += _operations[0] - before
             tally.bytes += 8.0 * (loaded + stored)
             cells = visited(arguments)
-            tally.bulk = tally.bulk and cells > 0
-            tally.cells += cells or self.active
+            tally.bulk = tally.bulk and cells is not None
+            tally.cells += self.active if cells is None else cells
             tally.calls += 1
             return result
 
@@ -261,8 +261,8 @@ class Counter:
         return traced
 
 
-def visited(arguments: tuple) -> int:
-    """Return how many cells or nodes a call visits: those of its runs or columns inside its window; 0 if it has none.
+def visited(arguments: tuple) -> int | None:
+    """Return how many cells or nodes a call visits: those of its runs or columns inside its window; None without any.
 
     Runs are rows (k, j, first, end), columns (fixed, first, end, first cell, end cell) of int32, followed by how many
     count; the window is the first tuple of six integers (k0, k1, j0, j1, i0, i1).
@@ -272,7 +272,7 @@ def visited(arguments: tuple) -> int:
     listed = next(((a, int(n)) for a, n in itertools.pairwise(arguments) if isinstance(a, np.ndarray)
                    and a.dtype == np.int32 and a.ndim == 2 and isinstance(n, (int, np.integer))), None)
     if listed is None:
-        return 0
+        return None
     rows = listed[0][:listed[1]].astype(np.int64)
     bounds = np.array(window) if window is not None else np.array([-2**40, 2**40] * 3)
     if rows.shape[1] == 4:
@@ -282,5 +282,5 @@ def visited(arguments: tuple) -> int:
         low = np.maximum(rows[:, [0, 1, 3]], bounds[[0, 2, 4]])
         high = np.minimum(np.stack([rows[:, 0] + 1, rows[:, 2], rows[:, 4]], 1), bounds[[1, 3, 5]])
     else:
-        return 0
+        return None
     return int(np.prod(np.maximum(high - low, 0), axis=1).sum())

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc._jit import cache_directory
+from f2s_hpc._jit import cache_directory, source_hash
 from f2s_hpc.bench import states
 from f2s_hpc.bench.hook import Stopwatches, hooked
 from f2s_hpc.bench.machine import multiply_add_peak, triad_bandwidth
@@ -74,10 +74,11 @@ def measure_machine() -> Machine:
 def count_work(name: str, saved: dict[str, np.ndarray]) -> dict[str, dict]:
     """Return the tallies of a step of the saved patch, counted in a process of its own or read from the cache.
 
-    Rank 0 counts. The cache lies beside the compiled kernels, in a folder named by the hash of their sources.
+    Rank 0 counts. The cache lies beside the compiled kernels, in a folder named by the hash of their sources; its name
+    has that of the sources which say what a step calls and how that is counted.
     """
     def count() -> dict[str, dict]:
-        cached = pathlib.Path(cache_directory()) / f"work-{name}.json"
+        cached = pathlib.Path(cache_directory()) / f"work-{name}-{source_hash('bench', 'solver')}.json"
         if cached.exists():
             return json.loads(cached.read_text(encoding="utf-8"))
         with tempfile.TemporaryDirectory() as folder:

@@ -18,7 +18,7 @@ import numpy as np
 from f2s_hpc.fields import BY_NAME, CELL, NODE
 from f2s_hpc.grid.box import GHOST, SIDES, Part
 from f2s_hpc.kernels.activity import BLOCK
-from f2s_hpc.kernels.sides import COPY, EVEN, MIRROR, NONE, VOID, block_inflow, fill_ghosts
+from f2s_hpc.kernels.sides import COPY, EVEN, MIRROR, NONE, VOID, fill_ghosts
 
 _CELL_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": VOID, "outflow": VOID, "absorbing": EVEN}
 _NODE_RULE = {"symmetry": MIRROR, "fixed": MIRROR, "free": COPY, "outflow": COPY, "absorbing": EVEN}
@@ -163,12 +163,6 @@ class Boundary:
         planes = [(SIDES.index(side) // 2, self.wall_plane(side)) for side in self.touched
                   if self.kinds[side] == "fixed"]
         return planes if self.floor is None else [*planes, (2, self.floor)]
-
-    def stop_inflow(self, axis: int, flux: np.ndarray, mass_flux: np.ndarray) -> None:
-        """Let nothing enter through the outflow sides normal to ``axis``."""
-        for side in self.touched:
-            if SIDES.index(side) // 2 == axis and self.kinds[side] == "outflow":
-                block_inflow(flux, mass_flux, axis, self.wall_plane(side), 1.0 if side.endswith("high") else -1.0)
 
     def open_sides(self, axis: int) -> list[str]:
         """Return the touched sides normal to ``axis`` through which material may leave."""

@@ -19,6 +19,7 @@ from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Decomposition, GhostMap
 from f2s_hpc.grid.pages import anonymous_pages, give_back
 
+MOST_PLACES = np.iinfo(PETSc.IntType).max
 PACKED = 16384
 """Ghosts of a rank (of one field) up to which all fields of an exchange go in one message per neighbour.
 
@@ -117,7 +118,8 @@ class Pool:
         """Return the star forests of an exchange and the memory that each works on: one for all fields, or one each."""
         ghosts = {location: self._ghosts(location, layers, axis) for location in {BY_NAME[n].location for n in names}}
         most = max(found.local.size for found in ghosts.values())
-        if mpi.maximum(np.int64(most)) <= PACKED:
+        # (PETSc of the distributions counts with 32-bit integers, and all fields of a rank may be more than that)
+        if mpi.maximum(np.int64(most)) <= PACKED and mpi.maximum(np.int64(self.memory.size)) <= MOST_PLACES:
             return [(self._forest(("packed", names, layers, axis), self.memory.size, *self._packed(names, ghosts)),
                      self.memory)]
         found = []

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from f2s_hpc._jit import borrowed, inlined, kernel
-from f2s_hpc.kernels.plane import interface_normal, plane_distance, slab_volume
+from f2s_hpc.kernels.plane import interface_curvature, interface_normal, plane_distance, slab_bulge, slab_volume
 
 FULL = 1.0 - 1e-12
 """A cell at least this full is treated as full: no plane, and tension if the closure allows."""
@@ -93,18 +93,23 @@ def volume_fluxes(runs, count, window, shape, axis, done, gx, gy, gz, mass, frac
             volume = 1.0 + ax * (gx[n + 1] - gx[n]) + ay * (gy[n + row1] - gy[n]) + az * (gz[n + plane1] - gz[n])
             a, b, c = interface_normal(fraction, cell + i, sx, sy, sz)
             distance = plane_distance(abs(a), abs(b), abs(c), f)
+            curvature = interface_curvature(fraction, cell + i, sx, sy, sz)
             # what stays must fit into the rest of the cell, to the last digit: an overfull cell would lose volume
             rest, kept = 1.0, f
             if low < 0.0:
                 share = min(-low / volume, 1.0)
                 rest -= share
-                leaves = min(max(slab_volume(a, b, c, distance, share, False), kept - rest), kept, share)
+                leaves = (slab_volume(a, b, c, distance, share, False)
+                          + slab_bulge(a, b, c, distance, share, False, curvature))
+                leaves = min(max(leaves, kept - rest, 0.0), kept, share)
                 flux[n] = -volume * leaves
                 kept -= leaves
             if high > 0.0:
                 share = min(high / volume, rest)
                 rest -= share
-                leaves = min(max(slab_volume(a, b, c, distance, share, True), kept - rest), kept, share)
+                leaves = (slab_volume(a, b, c, distance, share, True)
+                          + slab_bulge(a, b, c, distance, share, True, curvature))
+                leaves = min(max(leaves, kept - rest, 0.0), kept, share)
                 flux[n + step] = volume * leaves
 
 

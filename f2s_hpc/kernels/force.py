@@ -14,7 +14,7 @@ from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.deformed import LEAST_VOLUME, cofactors, gradient, volume_ratios
 from f2s_hpc.kernels.scratch import W, place_of_largest
 from f2s_hpc.kernels.skin import surface_pressure
-from f2s_hpc.materials.pressure import pressure, stiffness
+from f2s_hpc.materials.pressure import pressure, stiffness, unloaded
 
 RATE, TOTAL, COEFFICIENT, SHOCK, POWER, SPEED, STRESS, CORNERS, VOLUME, COFACTOR, GRADIENT, ROWS = (
     0, 1, 2, 3, 4, 5, 6, 15, 23, 24, 33, 42)
@@ -55,7 +55,7 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
         density = bulk.density * compression
         sound = math.sqrt((stiffness(eos, compression, e) + shear) / density)
         # a cell that is to close within the step is in the shock of the impact already
-        shut = 1.0 if x > volume * (1.0 + last_dt * s[RATE * W + i]) else full
+        shut = 1.0 if x > unloaded(eos, e) * volume * (1.0 + last_dt * s[RATE * W + i]) else full
         closing = max(full, shut) * min(s[RATE * W + i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening

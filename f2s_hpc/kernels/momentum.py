@@ -62,6 +62,32 @@ def kinetic_energy(runs, count, window, shape, weights, nodal, u, v, w, quantum,
     return total
 
 
+@kernel
+def wall_energy(runs, count, window, shape, weights, mass, u, v, w, quantum, dx, density):
+    """Return the kinetic energy of the nodes of a wall, exactly, as :func:`kinetic_energy` does.
+
+    ``window``: one plane of nodes; ``mass`` of the cells (in full ones), valid around it, from which that of the nodes
+    follows as in ``remap.nodal_masses``.
+    """
+    ny, nx = shape
+    total = np.int64(0)
+    scale = 0.5 * density * dx * dx * dx / quantum
+    for r in range(count):
+        k, j = runs[r, 0], runs[r, 1]
+        if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
+            continue
+        row = (k * (ny + 1) + j) * (nx + 1)
+        below = ((k - 1) * ny + j - 1) * nx - 1
+        above = below + ny * nx
+        plane = scale * weights[2][k] * weights[1][j]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
+            n, a, b = row + i, below + i, above + i
+            m = 0.125 * ((mass[a] + mass[a + 1] + mass[a + nx] + mass[a + nx + 1])
+                         + (mass[b] + mass[b + 1] + mass[b + nx] + mass[b + nx + 1]))
+            total += np.int64(plane * weights[0][i] * m * (u[n] * u[n] + v[n] * v[n] + w[n] * w[n]))
+    return total
+
+
 @inlined
 def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
                     quantum, sums):

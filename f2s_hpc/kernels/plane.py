@@ -157,3 +157,102 @@ def interface_normal(f, n, sx, sy, sz):
     if best > max(abs(yx), abs(yy), abs(yz)):
         return yx, yy, yz
     return cx, cy, cz
+
+
+TAPER = 0.66
+"""Share of the bulge of a section of even width that sections of a cube have, which taper towards their ends.
+
+Measured: 0.65 to 0.67 on exact spheres of 5, 8 and 12 cells to a diameter, cut by faces in two ways.
+"""
+
+MOST_CURVED = 0.5
+"""Largest curvature (1/cell) that is believed: that of a sphere of four cells."""
+
+LEAST_GRADIENT = 1e-2
+"""Gradient of the volume fraction (1/cell) below which a cell is crossed by no surface that could be curved."""
+
+
+@kernel
+def section_area(a, b, c, distance):
+    """Return the area of the plane's section with the unit cube; a, b, c >= 0 and a + b + c = 1.
+
+    The derivative of :func:`volume_below` by the distance along the normal.
+    """
+    m1, m2, m3 = _shares(a, b, c)
+    alpha, m12 = min(distance, 1.0 - distance), m1 + m2
+    if alpha <= 0.0:
+        return 0.0
+    if alpha < m1:
+        slope = alpha * alpha / (2.0 * m1 * m2 * m3)
+    elif alpha < m2:
+        slope = (2.0 * alpha - m1) / (2.0 * m2 * m3)
+    elif alpha < min(m12, m3):
+        slope = (2.0 * alpha * m12 - alpha * alpha - m1 * m1 - m2 * m2) / (2.0 * m1 * m2 * m3)
+    elif m12 <= m3:
+        slope = 1.0 / m3
+    else:
+        slope = (2.0 * alpha - 2.0 * alpha * alpha - m1 * m1 - m2 * m2 - m3 * m3) / (2.0 * m1 * m2 * m3)
+    return slope * math.sqrt(a * a + b * b + c * c)
+
+
+@kernel
+def interface_curvature(f, n, sx, sy, sz):
+    """Return the curvature (1/cell) of the interface in cell ``n`` along x, above zero where material is convex.
+
+    That of its section with the plane of normal and x axis: the second derivative of the volume fraction along the
+    interface in that plane, over the gradient, both smoothed over 27 cells. Arguments as :func:`interface_normal`.
+    """
+    gx, gy, gz, hxx, hyy, hzz, hxy, hyz, hxz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(-1, 2):
+        for b in range(-1, 2):
+            for a in range(-1, 2):
+                v = f[n + a * sx + b * sy + c * sz]
+                wa, wb, wc = 0.5 - 0.25 * abs(a), 0.5 - 0.25 * abs(b), 0.5 - 0.25 * abs(c)
+                da, db, dc = 0.5 * a, 0.5 * b, 0.5 * c
+                qa, qb, qc = 3.0 * abs(a) - 2.0, 3.0 * abs(b) - 2.0, 3.0 * abs(c) - 2.0
+                gx += v * (da * wb * wc)
+                gy += v * (wa * db * wc)
+                gz += v * (wa * wb * dc)
+                hxx += v * (qa * wb * wc)
+                hyy += v * (wa * qb * wc)
+                hzz += v * (wa * wb * qc)
+                hxy += v * (da * db * wc)
+                hyz += v * (wa * db * dc)
+                hxz += v * (da * wb * dc)
+    size = math.sqrt(gx * gx + gy * gy + gz * gz)
+    if size < LEAST_GRADIENT:
+        return 0.0
+    x, y, z = gx / size, gy / size, gz / size
+    across = 1.0 - x * x
+    if across < 1e-6:
+        return 0.0
+    p, q = -x * y, -x * z
+    bent = across * across * hxx + p * p * hyy + q * q * hzz + 2.0 * (across * p * hxy + p * q * hyz + across * q * hxz)
+    return -bent / (across * size)
+
+
+@kernel
+def slab_bulge(nx, ny, nz, distance, share, high, curvature):
+    """Return the volume below a curved interface less that below the plane, in the slab of :func:`slab_volume`.
+
+    An interface of ``curvature`` k along x that cuts off the same volume as the plane lies -k (s^2 - <s^2>) / 2 above
+    it, s from the middle of the section along x: high in the middle, low at the ends, and a face sees an end. So a
+    slab of a plane takes too much out of every donor, leading or trailing, and bodies ran ahead of their velocity. For
+    a section of area A and even width that reaches s = +-h, the part from s = e h on holds -k A h^2 (e - e^3) / 12.
+    """
+    a, b, c = abs(nx), abs(ny), abs(nz)
+    slope = (b * b + c * c) / (a * a + b * b + c * c)
+    if slope < 1e-6:
+        return 0.0
+    low, top = 0.0, 1.0
+    if a > 1e-9:
+        low, top = max(0.0, (distance - b - c) / a), min(1.0, distance / a)
+    half = 0.5 * (top - low)
+    if half < 1e-9:
+        return 0.0
+    middle = 0.5 * (low + top)
+    near = (nx >= 0.0) != high
+    edge = (middle - share if near else 1.0 - share - middle) / half
+    edge = min(max(edge, -1.0), 1.0)
+    curved = TAPER * min(max(curvature, -MOST_CURVED), MOST_CURVED)
+    return -curved / 12.0 * section_area(a, b, c, distance) * (half * half / slope) * (edge - edge * edge * edge)

@@ -23,9 +23,10 @@ GRADIENT, TRIAL, MISES, STRAIN, STATIC, RATIO, PLASTIC, FLOW, AFTER, VOLUME, SHA
 equivalent strain increment, static flow stress, return ratio, plastic strain increment, flow stress; volume
 fraction after, volume ratio, s:s before and after."""
 
-ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, NORM = 25, 26, 27, 28, 29, 30, 31
+ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, COMPRESSION, NORM = 25, 26, 27, 28, 29, 30, 31, 46
 """Energies per cell volume (J/m3), in the order of the sums: elastic before and after, plastic work, heat, shock
-viscosity, heat from numerical losses; then the squared norm of the gradient."""
+viscosity, heat from numerical losses, work of a pressure that is kept as internal energy; then the squared norm of the
+gradient."""
 
 THETA, PEEQ, RATE, SLOPE, RATE_SLOPE = 32, 33, 34, 35, 36
 """Rows of thermal factor, PEEQ, first rate coefficient, slopes of hardening and of that coefficient in the logarithm
@@ -34,7 +35,7 @@ of PEEQ: of the chunk, then of its yielding cells side by side."""
 TRIAL_MISES, EXCESS, LOGARITHM, LOW, HIGH, LAST, INCREMENT, RETURNED_STRESS = 37, 38, 39, 40, 41, 42, 43, 44
 """Rows of the yielding cells alone, side by side."""
 
-VOLUME_BEFORE, ROWS = 45, 46
+VOLUME_BEFORE, ROWS = 45, 47
 """Row of the volume ratio before the step; number of rows."""
 
 LANES = 8

@@ -14,6 +14,7 @@ import numpy as np
 
 from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.flux import axes_left
+from f2s_hpc.materials.pressure import pressure, unloaded
 
 LEAST_MASS = 1e-13
 """Below this mass (in full cells or nodes) a quotient of masses is round-off: values are left as they are."""
@@ -330,14 +331,15 @@ def sweep_mass(runs, count, window, shape, axis, done, gx, gy, gz, flux, mass_fl
 
 
 @kernel
-def close_cells(runs, count, window, shape, dust, spall, full, eos_pressure, mass, fraction, memory, fields,
+def close_cells(runs, count, window, shape, dust, spall, full, eos, energy, mass, fraction, memory, fields,
                 mass_quantum, sums):
     """Finish the remap: settle each cell's volume fraction, and clear what is dust or void.
 
-    A cell that holds its full mass is full; one that was full and bears less tension than ``spall``
-    (``eos_pressure``: bulk modulus, Pa) stays full; in all others material is at zero pressure and the
-    volume fraction is the mass. A cell with less than ``dust`` (in full cells) is emptied, its mass counted in
-    ``sums[0]`` (units of ``mass_quantum``, kg per full cell) and all its fields set to zero.
+    A cell that holds the mass of a full one at zero pressure is full; one that was full and bears less tension than
+    ``spall`` (Pa) stays full; in all others material is at zero pressure. That is one full cell's mass of cold
+    material, less of hot (``energy``, J/kg, a field of one number where the pressure does not depend on it). A cell
+    with less than ``dust`` (in full cells) is emptied, its mass counted in ``sums[0]`` (units of ``mass_quantum``, kg
+    per full cell) and all its fields set to zero.
     """
     ny, nx = shape
     for r in range(count):
@@ -348,11 +350,13 @@ def close_cells(runs, count, window, shape, dust, spall, full, eos_pressure, mas
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             c = cell + i
             x = mass[c]
-            if x >= 1.0:
+            e = energy[c] if energy.size > 1 else 0.0
+            free = unloaded(eos, e)
+            if x >= free:
                 fraction[c] = 1.0
             elif x > dust:
-                holds = fraction[c] >= full and eos_pressure * (x - 1.0) > -spall
-                fraction[c] = 1.0 if holds else x
+                holds = fraction[c] >= full and pressure(eos, x, e) > -spall
+                fraction[c] = 1.0 if holds else x / free
             else:
                 if x != 0.0:
                     sums[0] += np.int64(math.floor(x / mass_quantum + 0.5))

@@ -103,21 +103,3 @@ def fill_ghosts(memory, offsets, shape, axis, rules, edges, layers, on_nodes, si
                 for j in range(ny):
                     _fill_row(memory, offsets, signs, rule, active, target, j, nx, target * strides[2] + j * nx,
                               source * strides[2] + j * nx, block)
-
-
-@kernel
-def block_inflow(flux, mass_flux, axis, plane, outward):
-    """Zero what would enter through the plane ``plane`` of faces; ``outward`` is +1 on a high side, -1 on a low one."""
-    nz, ny, nx = flux.shape
-    n1, n2 = (nz, ny) if axis == 0 else ((nz, nx) if axis == 1 else (ny, nx))
-    for b in range(n1):
-        for a in range(n2):
-            if axis == 0:
-                k, j, i = b, a, plane
-            elif axis == 1:
-                k, j, i = b, plane, a
-            else:
-                k, j, i = plane, b, a
-            if flux[k, j, i] * outward < 0.0:
-                flux[k, j, i] = 0.0
-                mass_flux[k, j, i] = 0.0

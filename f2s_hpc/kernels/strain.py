@@ -10,6 +10,7 @@ from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.deformed import gradient, to_deformed, volume_ratios
 from f2s_hpc.kernels.plasticity import (
     AFTER,
+    COMPRESSION,
     ELASTIC_AFTER,
     ELASTIC_BEFORE,
     MISES,
@@ -29,7 +30,7 @@ from f2s_hpc.kernels.plasticity import (
 )
 from f2s_hpc.kernels.scratch import W, place_of_largest
 from f2s_hpc.kernels.skin import surface_strain
-from f2s_hpc.materials.pressure import pressure, stored_energy
+from f2s_hpc.materials.pressure import pressure, stored_energy, unloaded
 
 
 @inlined
@@ -100,13 +101,13 @@ def _trial_stress(sxx_row, syy_row, szz_row, sxy_row, syz_row, sxz_row, dt, shea
 def closure(x, fraction, jacobian, energy, eos, spall):
     """Return the volume fraction of a cell after its volume changed by ``jacobian``.
 
-    ``x``: mass in full cells; ``fraction`` before. The rule that keeps mixed cells sound: void closes
-    before material is squeezed, a free surface carries no pressure, full material bears tension up to
-    ``spall`` (Pa).
+    ``x``: mass in full cells; ``fraction`` before; ``energy`` (J/kg). The rule that keeps mixed cells sound: void
+    closes before material is squeezed, a free surface carries no pressure, so what is beside void has the density of
+    none (less when hot, with Mie-Grueneisen pressure), full material bears tension up to ``spall`` (Pa).
     """
-    ratio = x / jacobian
+    ratio, free = x / jacobian, unloaded(eos, energy)
     holds = fraction >= 1.0 and pressure(eos, ratio, energy) > -spall
-    return 1.0 if (x >= jacobian) or holds else ratio
+    return 1.0 if (x >= free * jacobian) or holds else ratio / free
 
 
 @inlined
@@ -128,6 +129,7 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
     """Add pressure, stress and viscous work, and what the numerics lost, to the internal energy of a chunk (J/kg)."""
     for i in range(mass.size):
         x, e = mass[i], energy[i]
+        s[COMPRESSION * W + i] = 0.0
         if x <= 0.0:
             continue
         power = 0.0
@@ -144,10 +146,12 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
         jacobian, after, volume = s[VOLUME * W + i], s[AFTER * W + i], s[VOLUME_BEFORE * W + i]
         p_old = pressure(eos, x / volume, e) if fraction[i] >= 1.0 else 0.0
         p_new = pressure(eos, x / jacobian, e) if after >= 1.0 else 0.0
-        # while there is void the volume changes at no pressure: it closes, or opens, at volume x
-        swept = (jacobian if after >= 1.0 else x) - (volume if fraction[i] >= 1.0 else x)
+        # while there is void the volume changes at no pressure: it closes, or opens, at the volume of no pressure
+        free = x / unloaded(eos, e)
+        swept = (jacobian if after >= 1.0 else free) - (volume if fraction[i] >= 1.0 else free)
+        s[COMPRESSION * W + i] = -0.5 * (p_old + p_new) * swept
         lost = s[RETURNED * W + i] / max(bulk.taylor_quinney, 1e-300)
-        work = dt * power * after * jacobian + s[VISCOUS * W + i] - 0.5 * (p_old + p_new) * swept + lost
+        work = dt * power * after * jacobian + s[VISCOUS * W + i] + s[COMPRESSION * W + i] + lost
         energy[i] = e + work / (x * bulk.density)
 
 
@@ -159,8 +163,11 @@ def _write_stress(stress, mass, trial, s):
 
 
 @inlined
-def _elastic_chunk(mass, fraction, bulk, eos, s):
-    """Elastic energy per cell volume (J/m3) before and after, and squared gradient norm of the solid cells."""
+def _elastic_chunk(mass, fraction, energy, stores, bulk, eos, s):
+    """Elastic energy per cell volume (J/m3) before and after, and squared gradient norm of the solid cells.
+
+    ``stores``: 1.0 where pressure stores elastic energy, 0.0 where its work goes into the internal energy.
+    """
     inverse = 1.0 / (4.0 * bulk.shear_modulus)
     for i in range(mass.size):
         x, before, after = mass[i], fraction[i], s[AFTER * W + i]
@@ -170,6 +177,10 @@ def _elastic_chunk(mass, fraction, bulk, eos, s):
             some * stored_energy(eos, some / volume) if before >= 1.0 else 0.0)
         new = after * jacobian * s[SHAPE_AFTER * W + i] * inverse + (
             some * stored_energy(eos, some / jacobian) if after >= 1.0 else 0.0)
+        # a cell that spalls was strained at its old pressure over the first half; what it stored the closure takes
+        given = 0.5 * pressure(eos, some / volume, energy[i]) * (jacobian - volume)
+        taken = some * stored_energy(eos, some / volume) - given
+        new += taken if (before >= 1.0) & (after < 1.0) & (stores > 0.0) else 0.0
         s[ELASTIC_BEFORE * W + i] = old if x > 0.0 else 0.0
         s[ELASTIC_AFTER * W + i] = new if x > 0.0 else 0.0
     for i in range(mass.size):
@@ -202,8 +213,9 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
     since the last remap, and cells had the volume ratios ``before``; ``gx``, ``gy``, ``gz``: what their faces have
     swept at the end of this step. ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg), ``closing`` (1/s):
     node-shaped arrays; what the forces of this step and the losses of the last one left to be turned into heat.
-    ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[6] in units of ``quantum`` (J):
-    elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from numerical losses.
+    ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[7] in units of ``quantum`` (J):
+    elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from numerical losses, work
+    of a pressure that is kept as internal energy.
     Returns the largest velocity-gradient norm (1/s) of the cells at least half full and the flat index of that cell.
     """
     ny, nx = shape
@@ -257,10 +269,10 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
                 _internal_energy(filled, f, e, stress, cell, dt, bulk, eos, s)
             for component in range(6):
                 _write_stress(stress[component][cell:end], filled, TRIAL + component, s)
-            _elastic_chunk(filled, f, bulk, eos, s)
+            _elastic_chunk(filled, f, e, 0.0 if carried else 1.0, bulk, eos, s)
             for i in range(n):
                 f[i] = s[AFTER * W + i] if filled[i] > 0.0 else f[i]
-            for term in range(6):
+            for term in range(7 if carried else 6):
                 sums[term] += _sum_row(ELASTIC_BEFORE + term, n, scale, s)
             at = place_of_largest(s[NORM * W:NORM * W + n], fastest)
             if at >= 0:

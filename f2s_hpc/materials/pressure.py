@@ -57,6 +57,23 @@ def _grueneisen_energy(eos, x):
     return 0.0 * x
 
 
+def _linear_unloaded(eos, energy):
+    return 1.0
+
+
+def _grueneisen_unloaded(eos, energy):
+    q = min(max(eos.gamma * energy / (eos.sound_speed * eos.sound_speed), -0.1), 0.2)
+    return 1.0 - q * (1.0 - 0.5 * eos.gamma * q)
+
+
+def unloaded(eos, energy):
+    """Return rho / rho_0 at zero pressure, within 1e-4: hot material has expanded where its heat makes pressure.
+
+    Mie-Grueneisen in tension: mu (1 - Gamma mu / 2x) + q = 0 with q = Gamma e / c^2, to third order in q.
+    """
+    return (_linear_unloaded if isinstance(eos, LinearPressure) else _grueneisen_unloaded)(eos, energy)
+
+
 def pressure(eos, x, energy):
     """Return the pressure (Pa).
 
@@ -87,10 +104,14 @@ def _choose(eos, linear, grueneisen):
     return None
 
 
-
 @overload(_logarithm, jit_options=POINT_OPTIONS)
 def _logarithm_overload(x):
     return _logarithm
+
+
+@overload(unloaded, jit_options=POINT_OPTIONS)
+def _unloaded_overload(eos, energy):
+    return _choose(eos, _linear_unloaded, _grueneisen_unloaded)
 
 
 @overload(pressure, jit_options=POINT_OPTIONS)

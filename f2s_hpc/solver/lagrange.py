@@ -112,7 +112,7 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
         ledger.add(name, value)
     if state.lost.size > 1:
         ledger.add("exchange_kept", sums[0])
-    walls.hold(state, model, ledger, "exchanged", masses_known=True)
+    walls.hold(state, model, ledger, "exchanged")
     state.exchange(VELOCITY)
     return speeds
 
@@ -128,7 +128,7 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     s = model.settings
-    sums = np.zeros(6, dtype=np.int64)
+    sums = np.zeros(7, dtype=np.int64)
     full = state.cell_window((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
     # (before the first step there is no displacement, nor memory for one where each step is remapped)
     deformed.sweep_faces(runs, count, full, shape, displaced, dt / model.dx, *state.velocity,
@@ -146,7 +146,8 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
         *state.velocity, displaced, *state.displacement, *state.sweep, state.flat[VOLUME_FLUX],
         *(state.flat[n] for n in TO_HEAT[:2]), state.flat["dual_flux"], state.flat["mass_flux"],
         model.energy_quantum, sums)
-    for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned"),
+    for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned",
+                            "compression"),
                            sums):
         ledger.add(name, value)
     return gradient, where

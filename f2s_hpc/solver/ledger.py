@@ -14,6 +14,7 @@ ENERGY_TERMS = {
     "elastic": "elastic energy now, of shape and of volume",
     "plastic_work": "plastic work",
     "shock_viscosity": "work of the shock viscosity",
+    "compression": "work of the pressure that is kept as internal energy (Mie-Grueneisen only)",
     "hourglass": "work of the hourglass control",
     "light_nodes": "kinetic energy taken from light nodes: exchange, mass floor, speed cap",
     "remap_kinetic": "kinetic energy lost in the momentum remap, summed node by node",
@@ -29,7 +30,7 @@ ENERGY_TERMS = {
 _COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned", "exchanged",
            "exchange_kept", "lost", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before",
            "elastic_after", "through_faces", "put_to_sleep", "mass_left", "mass_lent", "mass_capped", "mass_painted",
-           "nodes_capped")
+           "nodes_capped", "compression")
 
 
 class Ledger:
@@ -72,6 +73,7 @@ class Ledger:
             "elastic": elastic_now * joule,
             "plastic_work": totals["plastic_work"] * joule,
             "shock_viscosity": totals["shock_viscosity"] * joule,
+            "compression": totals["compression"] * joule,
             "hourglass": totals["hourglass_power"] * power,
             "light_nodes": light * joule,
             "remap_kinetic": remap_kinetic * joule,
@@ -80,7 +82,7 @@ class Ledger:
             "through_faces": totals["through_faces"] * joule,
         }
         received = (totals["elastic_after"] - totals["elastic_before"] + totals["plastic_work"]
-                    + totals["shock_viscosity"])
+                    + totals["shock_viscosity"] + totals["compression"])
         terms["time_step"] = -(totals["work"] + received) * joule - terms["hourglass"]
         spent = sum(value for name, value in terms.items() if name != "brought_in")
         terms["remainder"] = terms["brought_in"] - spent

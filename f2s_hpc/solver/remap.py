@@ -54,7 +54,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
                 model.cell_mass, model.energy_quantum))
             _close(state, model, ledger)
         state.exchange(("mass", "volume_fraction"))
-        walls.hold(state, model, ledger, "lost", masses_known=False)
+        walls.hold(state, model, ledger, "lost")
         if position < 2:
             state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[position + 1])
             state.exchange(VELOCITY, LAYERS_OF_NODES, order[position + 1])
@@ -84,7 +84,6 @@ def _fluxes(state: State, model: Model, axis: int, done: int, ledger: Ledger) ->
     flux.material_densities(runs, count, around, shape, done, *arrays[:5], density)
     flux.mass_fluxes(runs, count, window, shape, axis, float(model.settings.second_order), density, *arrays[3:],
                      state.flat["mass_flux"])
-    state.boundary.stop_inflow(axis, state.views[VOLUME_FLUX], state.views["mass_flux"])
     _count_mass_out(state, model, axis, ledger)
 
 
@@ -169,7 +168,7 @@ def _close(state: State, model: Model, ledger: Ledger) -> None:
     runs, count = state.runs
     sums = np.zeros(1, dtype=np.int64)
     remap.close_cells(runs, count, state.cell_window(), state.part.cell_shape[1:], model.settings.dust,
-                      model.bulk.spall_pressure, flux.FULL, model.bulk.bulk_modulus, state.flat["mass"],
+                      model.bulk.spall_pressure, flux.FULL, model.eos, state.energy, state.flat["mass"],
                       state.flat["volume_fraction"], state.pool.memory, state.offsets(state.carried_cells),
                       model.mass_quantum, sums)
     ledger.add("mass_capped", sums[0])
