@@ -9,7 +9,8 @@ import pytest
 from solver_setup import make_model
 
 from f2s_hpc._jit import kernel
-from f2s_hpc.materials.pressure import pressure, stiffness, stored_energy
+from f2s_hpc.kernels.strain import closure
+from f2s_hpc.materials.pressure import pressure, stiffness, stored_energy, unloaded
 
 LINEAR = make_model(3e-6).eos
 GRUENEISEN = make_model(3e-6, "copper-piston").eos
@@ -98,3 +99,28 @@ def test_grueneisen_pressure_is_linear_in_tension_and_in_energy():
     gain = evaluate(GRUENEISEN, 1.01, 1000.0)[0] - evaluate(GRUENEISEN, 1.01, 0.0)[0]
     assert gain == pytest.approx(GRUENEISEN.gamma * GRUENEISEN.density * 1000.0, rel=1e-9)
     assert evaluate(GRUENEISEN, 1.01, 1000.0)[2] == 0.0
+
+
+@kernel
+def density_of_no_pressure(eos, energy):
+    """Return that of :func:`unloaded`, compiled."""
+    return unloaded(eos, energy)
+
+
+@pytest.mark.parametrize("energy", [-5e4, 0.0, 1e4, 1e5, 4e5, 8e5])
+def test_hot_material_has_no_pressure_at_its_own_density(energy):
+    """Up to 0.8 MJ/kg, where copper boils long since; fails when the bracket of ``_grueneisen_unloaded`` is dropped."""
+    x = density_of_no_pressure(GRUENEISEN, energy)
+    heat = GRUENEISEN.gamma * GRUENEISEN.density * abs(energy)
+    assert abs(evaluate(GRUENEISEN, x, energy)[0]) <= 0.02 * heat
+    assert density_of_no_pressure(LINEAR, energy) == 1.0
+
+
+def test_hot_material_closes_at_its_own_density():
+    """Fails if ``closure`` takes cold density for that of no pressure: hot cells then open, and close under 2 GPa."""
+    energy = 1.3e5
+    free = density_of_no_pressure(GRUENEISEN, energy)
+    assert free < 0.99
+    assert closure(1.001 * free, 0.9, 1.0, energy, GRUENEISEN, 2e9) == 1.0
+    assert closure(0.98 * free, 0.9, 1.0, energy, GRUENEISEN, 2e9) == pytest.approx(0.98, rel=1e-12)
+    assert closure(0.999 * free, 1.0, 1.0, energy, GRUENEISEN, 2e9) == 1.0
