@@ -11,7 +11,7 @@ import os
 import pathlib
 from collections.abc import Sequence
 
-from f2s_hpc import units
+from f2s_hpc import places, units
 from f2s_hpc.errors import InputError
 
 FORMAT = "f2s stream 1"
@@ -62,7 +62,7 @@ def take_stream(raw: dict, folder: pathlib.Path, overrides: Sequence[str]) -> No
     name = particles.pop("stream")
     if not isinstance(name, str):
         raise InputError(f'{KEY}: must be the name of a file in quotes, written by "f2s stream CSV --json FILE"')
-    path = folder / pathlib.Path(name).expanduser()
+    path = folder / places.expanded(name)
     for section, keys in scene_keys(read_record(path), path).items():
         table = raw.setdefault(section, {})
         if isinstance(table, dict):

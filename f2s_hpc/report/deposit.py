@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc.analysis.surface import attached_material, surface_height
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.output import RunFolder
@@ -90,9 +91,7 @@ def load_deposit(folder: str | os.PathLike, cycle: int | None = None) -> Deposit
     From the checkpoint of that cycle where it is still there, else from its frame, which is float32. Raises
     ``InputError`` when the folder holds no run, or neither of the two for this cycle.
     """
-    folder = pathlib.Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name the folder of a run")
+    folder = places.run_folder(folder)
     checkpoints, frames = checkpoints_by_cycle(folder), _frames_by_cycle(folder)
     there = sorted(checkpoints.keys() | frames.keys())
     if not there:
