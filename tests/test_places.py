@@ -8,9 +8,10 @@ import pathlib
 
 import pytest
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.cli import main as cli
 from f2s_hpc.cli.main import main
+from f2s_hpc.errors import InputError
 
 LONG = "n" * 300
 """No file system has a name this long: refused as a folder of another user is, even to the superuser."""
@@ -67,6 +68,42 @@ def test_what_nobody_thought_of_is_one_line_on_all_ranks(capsys, monkeypatch, er
     monkeypatch.setitem(cli._COMMANDS, "inspect", lambda parsed: mpi.run_together(work))
     assert main(["inspect", "x"]) == 2
     assert ("here.json: No space left" if isinstance(error, OSError) else "9 TiB") in one_line(capsys)
+
+
+@pytest.mark.parametrize("arguments", [
+    ["analyse", "run", "--json", "none/x"], ["analyse", "run", "--json", "run"], ["analyse", "run", "--out", "file"],
+    ["analyse", "run", "--out", "file/below"], ["report", "run", "--out", "none/x"], ["report", "run", "--out", "run"],
+    ["plan", "quickstart", "--json", "none/x"], ["plan", "quickstart", "--json", "run"]])
+def test_the_place_of_results_is_tested_before_the_work(capsys, tmp_path, monkeypatch, arguments):
+    """Fails if the place is tested only after measuring: the folder holds no run, and that would be said."""
+    monkeypatch.chdir(tmp_path)
+    pathlib.Path("run").mkdir()
+    pathlib.Path("file").write_text("kept", encoding="utf-8")
+    assert main(arguments) == 2
+    assert f"{arguments[-1]}: " in one_line(capsys)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "run"]
+
+
+def test_a_text_that_cannot_be_written_leaves_the_older_one(tmp_path, monkeypatch):
+    """Fails with a file cut short, or one more beside it, if ``write_text`` writes under the real name."""
+    path, link = tmp_path / "numbers.json", tmp_path / "link.json"
+    places.write_text(path, "old")
+    link.symlink_to(path)
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        with pytest.raises(InputError, match=r"numbers\.json: cannot be written \(No space left"):
+            places.write_text(path, "new")
+    assert path.read_text(encoding="utf-8") == "old"
+    places.write_text(link, "new")
+    assert link.is_symlink()
+    assert path.read_text(encoding="utf-8") == "new"
+    assert len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(InputError, match=r"/dev/full: cannot be written \(No space left"):
+        places.write_text("/dev/full", "new")
 
 
 @pytest.mark.mpi

@@ -14,6 +14,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc._jit import cache_directory, source_hash
 from f2s_hpc.bench import crowd, states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
@@ -206,12 +207,8 @@ def cache_file(scene: Scene) -> pathlib.Path:
 
 def write_rates(path: str | os.PathLike, rates: Rates) -> None:
     """Write rates as JSON; raises ``InputError`` if the place cannot be written."""
-    path = pathlib.Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(asdict(rates), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    places.make_folder(pathlib.Path(path).parent, "--rates")
+    places.write_text(path, json.dumps(asdict(rates), indent=1) + "\n")
 
 
 def read_rates(path: str | os.PathLike) -> Rates:
@@ -238,7 +235,7 @@ def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[st
     What another version of the code kept is measured anew. Raises ``InputError`` if ``path`` is no file of rates.
     """
     place = pathlib.Path(path) if path else cache_file(scene)
-    if place.exists():
+    if places.kind(place) != places.NOTHING:
         try:
             return read_rates(place)
         except InputError:

@@ -6,10 +6,9 @@ import argparse
 import dataclasses
 import json
 import math
-import pathlib
 from typing import TYPE_CHECKING
 
-from f2s_hpc import mpi, units
+from f2s_hpc import mpi, places, units
 from f2s_hpc.cli.stream_options import DEFAULT_SPEEDS, DIAMETERS, PICTURE
 from f2s_hpc.errors import InputError
 
@@ -33,8 +32,7 @@ def stream(arguments: argparse.Namespace) -> int:
             _write_json(arguments.json, record)
             lines.append(f'fits {arguments.json}; a scene takes them with particles.stream = "{arguments.json}"')
         if arguments.out:
-            folder = pathlib.Path(arguments.out)
-            _make_folder(folder)
+            folder = places.make_folder(arguments.out, "--out")
             draw_stream(fit, folder / PICTURE)
             lines.append(f"picture {folder / PICTURE}")
         return "\n".join(lines)
@@ -115,17 +113,7 @@ def _percent(text: str) -> float:
 
 
 def _write_json(path: str, record: dict) -> None:
-    try:
-        pathlib.Path(path).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
-
-
-def _make_folder(folder: pathlib.Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); name another folder with --out") from None
+    places.write_text(path, json.dumps(record, indent=2) + "\n")
 
 
 def _say(text: str) -> None:

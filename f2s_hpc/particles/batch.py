@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.sphere import sphere_box_volume
 from f2s_hpc.particles.lateral import SechProfile
@@ -169,19 +170,13 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     as needed. Written under another name first, so that no half-written file is left.
     Raises InputError if the place cannot be written.
     """
-    path = Path(path)
-    partial = path.with_name(path.name + ".part")
     spheres = zip(batch.x, batch.y, batch.z, batch.r)
     rows = [",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere) for sphere in spheres]
     header = COLUMNS
     if batch.velocity is not None:
         header = COLUMNS + VELOCITY_COLUMNS
         rows = [",".join([row, *map(repr, velocity)]) for row, velocity in zip(rows, batch.velocity.tolist())]
-    try:
-        partial.write_text("\n".join([",".join(header), *rows]) + "\n", encoding="ascii")
-        os.replace(partial, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+    places.write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
 def clipped_volume(batch: Batch, box_x: float, box_y: float, box_z: float) -> float:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import pathlib
 from collections.abc import Sequence
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.verify import extreme, fuzz, levers, watch
 
 QUICK_FUZZ, FULL_FUZZ = 8, 300
@@ -23,7 +22,7 @@ def _write(json_file: str | os.PathLike | None, rows: Sequence) -> None:
     """Write rows of a dataclass as a JSON list; rank 0 only."""
     if json_file is not None and mpi.is_root():
         text = json.dumps([dataclasses.asdict(row) for row in rows], indent=2)
-        pathlib.Path(json_file).write_text(text + "\n", encoding="utf-8")
+        places.write_text(json_file, text + "\n")
     mpi.barrier()
 
 
