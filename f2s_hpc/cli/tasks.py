@@ -108,7 +108,7 @@ def resume(folder: str, overrides: list[str]) -> int:
     ``CheckpointError`` where no checkpoint is valid.
     """
     for text in overrides:
-        if text.split(".")[0] not in ("run", "output"):
+        if text.partition("=")[0].split(".")[0].strip() not in ("run", "output"):
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections')
     mpi.run_together(places.run_folder, folder)
     with runs.hold(folder):
@@ -225,8 +225,12 @@ def inspect(folder: str) -> int:
         if lacking:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_JSON}: lacks {', '.join(lacking)}; "
                              f"is {folder} the folder of a run?")
+        try:
+            table = format_table(runs.read_cycle_table(folder))
+        except InputError as error:
+            raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_CSV}: {error}") from None
         return (f"{summary['scene']}: {summary['status']}, {summary['particles']} particles, {summary['ranks']} ranks\n"
-                + format_table(runs.read_cycle_table(folder)))
+                + table)
 
     _say(mpi.run_together(read))
     return 0

@@ -89,6 +89,8 @@ def _file_checksums(path: pathlib.Path, shapes: Mapping[str, tuple[int, int, int
     def slabs() -> np.ndarray:
         sums = np.zeros(len(shapes), dtype=np.uint64)
         with h5py.File(path, "r") as file:
+            if set(file[FIELDS_GROUP]) != set(shapes):
+                raise ValueError("the manifest tells of other fields than it holds")
             for number, (name, shape) in enumerate(shapes.items()):
                 dataset = file[f"{FIELDS_GROUP}/{name}"]
                 if dataset.shape != shape or dataset.dtype != np.float64:

@@ -145,6 +145,8 @@ def read_manifest(path: pathlib.Path) -> Manifest:
         name = record["file"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CheckpointError(f"{place}: damaged manifest ({type(error).__name__}: {error})") from None
+    if not fields:
+        raise CheckpointError(f"{place}: damaged manifest: it tells of no field")
     if version != layout.FORMAT_VERSION:
         raise CheckpointError(f"{place}: checkpoint format {version}, this version reads {layout.FORMAT_VERSION}")
     if complete is not True or name != path.name:

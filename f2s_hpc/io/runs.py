@@ -242,8 +242,12 @@ class CheckpointLayers:
     def __enter__(self) -> CheckpointLayers:
         try:
             self._file = h5py.File(self.path, "r")
-        except OSError as error:
+            held = {name: dataset.shape for name, dataset in self._file[layout.FIELDS_GROUP].items()}
+        except (OSError, KeyError) as error:
             raise CheckpointError(f"{self.path}: damaged checkpoint ({' '.join(str(error).split())})") from None
+        if held != self.shapes:
+            self._file.close()
+            raise CheckpointError(f"{self.path}: damaged checkpoint (the manifest tells of other fields than it holds)")
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -120,6 +120,8 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
         whole = profile.mirrored(whole)
     section = choose_section(deposit.fraction, deposit.surface, deposit.dx, deposit.ground)
     notes: list[str] = []
+    if deposit.skipped:
+        notes.append(f"skipped: {deposit.skipped}")
     if deposit.detached > deposit.dx**3:
         notes.append(f"heights: {1e18 * deposit.detached:.3g} µm³ of slow fragments hang in the air, not "
                      "attached to the deposit; they are no part of its surface (the run's cycle table counts them)")
