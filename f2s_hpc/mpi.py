@@ -127,8 +127,8 @@ def run_together(task, *arguments):
 def install_abort_hook() -> None:
     """Make an uncaught exception on any rank end the whole job instead of hanging the others.
 
-    What the system refuses (a place, memory) is one line and the exit code of wrong input, as on one rank.
-    ``python -m mpi4py`` does not do this once petsc4py is imported, hence a hook of our own.
+    ``python -m mpi4py`` does not do this once petsc4py is imported, hence a hook of our own. What the system refuses (a
+    place, memory) is one line and the exit code of wrong input, as on one rank.
     """
     if size() == 1:
         return

@@ -19,8 +19,8 @@ def refused(error: OSError | MemoryError) -> InputError:
     """Return the line about what the system refused, with the name of the place where it told one."""
     if isinstance(error, MemoryError):
         detail = f" {' '.join(str(error).split())}" if str(error) else ""
-        return InputError(f"not enough memory{detail}; use larger cells, a smaller box or more nodes ('f2s check' tells "
-                          "what a scene takes)")
+        return InputError(f"not enough memory{detail}; use larger cells, a smaller box or more nodes ('f2s check' "
+                          "tells what a scene takes)")
     place = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
     return InputError(place + (error.strerror or " ".join(str(error).split()) or type(error).__name__))
 

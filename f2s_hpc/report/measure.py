@@ -204,7 +204,7 @@ def section_planes(deposit: Deposit) -> list[tuple[int, int]]:
     planes = []
     for axis in (1, 2):
         n = deposit.fraction.shape[axis]
-        number = max(1, int(n * deposit.dx / median_diameter(deposit)))
+        number = max(1, int(min(n, n * deposit.dx / median_diameter(deposit))))
         planes += [(axis, int((place + 0.5) * n / number)) for place in range(number)]
     return planes
 
