@@ -84,6 +84,15 @@ def test_the_place_of_results_is_tested_before_the_work(capsys, tmp_path, monkey
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "run"]
 
 
+@pytest.mark.mpi
+@pytest.mark.parametrize("arguments", [["--levers"], ["--extreme"], ["simple-shear", "--out", "."]])
+def test_verify_tests_the_place_of_its_rows_first(capsys, shared_path, monkeypatch, arguments):
+    """Fails after the work, with other ranks waiting, if only rank 0 learns that its rows cannot be written."""
+    monkeypatch.chdir(shared_path)
+    assert main(["verify", *arguments, "--json", str(shared_path)]) == 2
+    assert f"{shared_path}: is a folder" in one_line(capsys)
+
+
 def test_a_text_that_cannot_be_written_leaves_the_older_one(tmp_path, monkeypatch):
     """Fails with a file cut short, or one more beside it, if ``write_text`` writes under the real name."""
     path, link = tmp_path / "numbers.json", tmp_path / "link.json"

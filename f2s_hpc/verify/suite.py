@@ -118,6 +118,8 @@ def _prepare(folder: pathlib.Path, json_file: str | os.PathLike | None) -> None:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{path}: no folder can be made there ({error.strerror or error})") from None
+    if json_file is not None:
+        places.check_file(json_file, "--json")
 
 
 def _write_case(folder: pathlib.Path, case: Case, rows: list[dict[str, Any]]) -> None:
