@@ -7,6 +7,7 @@ import os
 import pathlib
 
 import pytest
+from conftest import F2S, launch
 
 from f2s_hpc import mpi, places
 from f2s_hpc.cli import main as cli
@@ -73,6 +74,7 @@ def test_what_nobody_thought_of_is_one_line_on_all_ranks(capsys, monkeypatch, er
 @pytest.mark.parametrize("arguments", [
     ["analyse", "run", "--json", "none/x"], ["analyse", "run", "--json", "run"], ["analyse", "run", "--out", "file"],
     ["analyse", "run", "--out", "file/below"], ["report", "run", "--out", "none/x"], ["report", "run", "--out", "run"],
+    ["stream", "none.csv", "--json", "none/x"], ["stream", "none.csv", "--out", "file"], ["feed", "--json", "none/x"],
     ["plan", "quickstart", "--json", "none/x"], ["plan", "quickstart", "--json", "run"]])
 def test_the_place_of_results_is_tested_before_the_work(capsys, tmp_path, monkeypatch, arguments):
     """Fails if the place is tested only after measuring: the folder holds no run, and that would be said."""
@@ -132,3 +134,9 @@ def test_a_terminal_without_the_letters_gets_question_marks(run_f2s, tmp_path, e
     done = run_f2s(["inspect", tmp_path], environment={"PYTHONIOENCODING": encoding})
     assert (done.returncode, done.stderr) == (0, "")
     assert "copper ? steel" in done.stdout
+
+
+def test_a_reader_that_has_enough_ends_the_command_quietly(tmp_path):
+    """Fails with a traceback if the broken pipe of ``f2s ... | head`` is an error like others."""
+    done = launch(["bash", "-c", f'{" ".join(F2S)} stream synthetic | true; exit "${{PIPESTATUS[0]}}"'], cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (141, "")

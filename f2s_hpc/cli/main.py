@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import pathlib
+import signal
 import sys
 from typing import NoReturn, TextIO
 
@@ -197,15 +199,15 @@ def main(arguments: list[str]) -> int:
     from f2s_hpc import mpi
     mpi.install_abort_hook()
     try:
-        return _COMMANDS[parsed.command](parsed)
+        code = _COMMANDS[parsed.command](parsed)
+        sys.stdout.flush()
+        return code
     except F2SError as error:
         return _told(error)
-    except BrokenPipeError:
-        raise
     except (OSError, MemoryError) as error:
         if mpi.size() > 1:  # (the other ranks may wait for this one: the hook ends them all)
             raise
-        return _told(places.refused(error))
+        return _left_alone() if isinstance(error, BrokenPipeError) else _told(places.refused(error))
     finally:
         if "f2s_hpc.grid.halo" in sys.modules and sys.exc_info()[0] is None:
             sys.modules["f2s_hpc.grid.halo"].release_all()
@@ -218,6 +220,12 @@ def _told(error: F2SError) -> int:
         sys.stdout.flush()
         print(f"{prefix}{error}", file=sys.stderr, flush=True)
     return error.exit_code
+
+
+def _left_alone() -> int:
+    """Print no more, as what reads the output (head, less) has ended; return the exit code that shells give for it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 128 + signal.SIGPIPE
 
 
 def entry() -> None:

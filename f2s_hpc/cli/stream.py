@@ -23,6 +23,7 @@ def stream(arguments: argparse.Namespace) -> int:
         from f2s_hpc.config.stream import scene_keys
         from f2s_hpc.particles.measurement import read_measurement
         from f2s_hpc.particles.stream import as_record, fit_stream
+        _test_places(arguments.json, arguments.out)
         fit = fit_stream(read_measurement(arguments.measurement))
         record = as_record(fit)
         keys = [f'{section}.{name} = "{_short(text)}"' for section, table in
@@ -51,6 +52,7 @@ def feed(arguments: argparse.Namespace) -> int:
     def work() -> str:
         from f2s_hpc.particles.feed import Feed, count_particles
         from f2s_hpc.particles.sizes import RosinRammler
+        _test_places(arguments.json)
         diameters = [_quantity(arguments, name, "length") for name, _, _ in DIAMETERS]
         sizes = RosinRammler.fit(*diameters)
         powder = Feed(_quantity(arguments, "feed_rate", "mass flow"), _percent(arguments.share),
@@ -110,6 +112,14 @@ def _percent(text: str) -> float:
     if not mark or rest.strip() or not 0.0 < value <= 1.0:
         raise InputError(f'--share "{text}": write a percentage above 0 and up to 100, for example "2.06 %"')
     return value
+
+
+def _test_places(json_file: str | None, folder: str | None = None) -> None:
+    """Raise ``InputError`` if one of the places could not be written, before anything is."""
+    if json_file:
+        places.check_file(json_file, "--json")
+    if folder:
+        places.check_folder(folder, "--out")
 
 
 def _write_json(path: str, record: dict) -> None:
