@@ -104,8 +104,8 @@ def _check_steps(scene: Scene) -> None:
     except (OverflowError, ZeroDivisionError):
         sound = math.inf
     if not 0.0 < sound <= FASTEST_SOUND:
-        raise wrong("material.density", f"and the elastic constants give sound {sound:.3g} m/s, {FASTEST_SOUND:.3g} are "
-                                        "possible; are their units right?")
+        raise wrong("material.density", f"and the elastic constants give sound {sound:.3g} m/s, {FASTEST_SOUND:.3g} "
+                                        "are possible; are their units right?")
     steps = scene.cycles.total_time * sound / (scene.numerics.courant * scene.domain.cell_size)
     if not steps <= MOST_STEPS_OF_RUN:
         raise wrong("cycles.duration", f"takes {steps:.3g} time steps at this cell size, {MOST_STEPS_OF_RUN:.3g} are "
