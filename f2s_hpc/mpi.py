@@ -15,7 +15,8 @@ from typing import TypeVar
 import numpy as np
 from mpi4py import MPI
 
-from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc import places
+from f2s_hpc.errors import F2SError
 
 ROOT = 0
 DOUBLE = MPI.DOUBLE
@@ -115,34 +116,30 @@ def run_together(task, *arguments):
             outcome = task(*arguments)
         except F2SError as error:
             failure = error
+        except (OSError, MemoryError) as error:
+            failure = places.refused(error)
     outcome, failure = broadcast((outcome, failure))
     if failure is not None:
         raise failure
     return outcome
 
 
-def out_of_memory(error: MemoryError) -> str:
-    """Return the line that tells a user that his computation does not fit."""
-    detail = f" {' '.join(str(error).split())}" if str(error) else ""
-    return (f"not enough memory{detail}; use larger cells, a smaller box or more nodes ('f2s check' tells what a scene "
-            "takes)")
-
-
 def install_abort_hook() -> None:
     """Make an uncaught exception on any rank end the whole job instead of hanging the others.
 
-    ``python -m mpi4py`` does not do this once petsc4py is imported, hence a hook of our own.
+    ``python -m mpi4py`` does not do this once petsc4py is imported, hence a hook of our own. What the system refuses (a
+    place, memory) is one line and the exit code of wrong input, as on one rank.
     """
     if size() == 1:
         return
 
     def abort(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.stdout.flush()
-        short = isinstance(error, MemoryError)
-        lines = [out_of_memory(error), "\n"] if short else traceback.format_exception(kind, error, trace)
-        sys.stderr.write(f"[rank {rank()}] " + "".join(lines))
+        line = places.refused(error) if isinstance(error, (OSError, MemoryError)) else None
+        text = "".join(traceback.format_exception(kind, error, trace)) if line is None else f"{line}\n"
+        sys.stderr.write(f"[rank {rank()}] {text}")
         sys.stderr.flush()
-        MPI.COMM_WORLD.Abort(InputError.exit_code if short else 1)
+        MPI.COMM_WORLD.Abort(1 if line is None else line.exit_code)
 
     sys.excepthook = abort
 

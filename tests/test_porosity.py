@@ -140,3 +140,14 @@ def test_without_bulk_there_is_no_porosity():
                  lambda: split_pores(fraction, share, np.full((3, 3), 4e-6), DX)):
         with pytest.raises(InputError, match="bulk"):
             call()
+
+
+def test_a_zone_wider_than_the_box_erodes_as_far_as_the_box(rng):
+    """Fails if the ball is cut one column too short; with a ball as wide as its zone, if a zone of 1 km ends at all."""
+    surface = 1e-3 + 20e-6 * rng.random((5, 3))
+    zone, place = 30e-6, np.indices(surface.shape)
+    away = sum((axis[:, :, None, None] - axis) ** 2 for axis in place) * DX**2
+    assert bulk_top(surface, DX, zone) == pytest.approx((surface - np.sqrt(zone**2 - away)).min(axis=(2, 3)), rel=1e-12)
+    for zone in (surface.max() - 5e-6, 1e3, 1e300):
+        with pytest.raises(InputError, match="no bulk is left"):
+            bulk_top(surface, DX, zone, 5e-6)

@@ -124,3 +124,13 @@ def test_a_wrong_profile_is_one_clear_line(tmp_path, text, said):
     assert str(path) in str(error.value)
     with pytest.raises(InputError, match="No such file"):
         read_profile(tmp_path / "none.csv")
+
+
+def test_a_profile_of_one_cell_is_as_wide_as_the_cell():
+    """A box one cell wide (plane strain); fails with a ValueError if the stretch is ``np.gradient`` of one place."""
+    one = mean_profile(np.array([[30e-6], [50e-6]]), DX, 10e-6)
+    size = profile_size(one)
+    assert (size.maximum, size.width, size.area) == pytest.approx((30e-6, DX, 30e-6 * DX))
+    assert profile_size(mirrored(one)).area == pytest.approx(60e-6 * DX)
+    with pytest.raises(InputError, match="one cell wide"):
+        overlap(one, triangle(0.0, 1e-4, 1e-5), align=True)

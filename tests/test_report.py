@@ -348,7 +348,7 @@ def test_what_is_no_run_is_refused(two_runs, tmp_path, capsys):
             assert main([command, str(folder)]) == 2
             assert len(capsys.readouterr().err.splitlines()) == 1
     assert main(["report", str(two_runs[0]), "--cutoff", "30 um", "--out", str(tmp_path), "--no-handover"]) == 2
-    assert "names the HTML file" in capsys.readouterr().err
+    assert "--out names a file" in capsys.readouterr().err
 
 
 def test_a_checkpoint_cut_short_is_passed_over(two_runs, tmp_path):

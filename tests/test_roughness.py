@@ -106,6 +106,8 @@ def test_what_cannot_be_filtered_is_refused():
         mean_line(np.zeros(50), DX, 3e-6)
     with pytest.raises(InputError, match="at least 4 cells"):
         mean_line(np.zeros(50), DX, math.nan)
+    with pytest.raises(InputError, match="at most 50,000 cells"):  # (a longer one fills the memory with weights)
+        mean_line(np.zeros(50), DX, 1e300)
     with pytest.raises(InputError, match="ends"):
         mean_line(np.zeros(50), DX, 30e-6, "periodic")
     with pytest.raises(InputError, match="three points"):

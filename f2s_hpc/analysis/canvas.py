@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from f2s_hpc.errors import F2SError
+from f2s_hpc.errors import InputError
 
 DPI = 150
 INK, GREY, LIGHT = "#1a1a1a", "#666666", "#d9d9d9"
@@ -29,8 +29,8 @@ _RC = {"font.size": 9.0, "axes.linewidth": 0.7, "axes.edgecolor": INK, "axes.lab
 def canvas(path: str | os.PathLike, width: float, height: float) -> Iterator[Any]:
     """Give a figure of ``width`` x ``height`` (inches) to draw on; write it to the PNG file ``path`` at the end.
 
-    The file is replaced whole, and nothing in it tells when or where it was made. Raises ``F2SError`` when it cannot be
-    written.
+    The file is replaced whole, and nothing in it tells when or where it was made. Raises ``InputError`` when it cannot
+    be written.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -47,7 +47,7 @@ def canvas(path: str | os.PathLike, width: float, height: float) -> Iterator[Any
 def save(figure: Any, path: pathlib.Path, what: str) -> None:
     """Write the PNG under another name, then put it in place; nothing in it tells when or where it was made.
 
-    ``what``: how the message of the ``F2SError`` calls it when it cannot be written.
+    ``what``: how the message of the ``InputError`` calls it when it cannot be written.
     """
     partial = path.with_name(f".{path.name}.partial")
     try:
@@ -55,7 +55,7 @@ def save(figure: Any, path: pathlib.Path, what: str) -> None:
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise F2SError(f"{path}: the {what} cannot be written ({error.strerror or error})") from None
+        raise InputError(f"{path}: the {what} cannot be written ({error.strerror or error})") from None
 
 
 def limits(values: Sequence[np.ndarray], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:

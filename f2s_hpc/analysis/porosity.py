@@ -14,6 +14,9 @@ from scipy import ndimage
 from f2s_hpc.analysis.surface import HALF_FULL
 from f2s_hpc.errors import InputError
 
+_NO_BULK = ("porosity: no bulk is left between the substrate and the surface zone; the deposit is too thin, or "
+            "--surface-zone too thick")
+
 
 @dataclass(frozen=True)
 class SectionPorosity:
@@ -44,17 +47,22 @@ class PoreSplit:
     largest: float
 
 
-def bulk_top(surface: np.ndarray, dx: float, zone: float) -> np.ndarray:
+def bulk_top(surface: np.ndarray, dx: float, zone: float, bottom: float = 0.0) -> np.ndarray:
     """Return up to which height (m) the bulk reaches in each column, (ny, nx): all of it is ``zone`` from the surface.
 
     The surface as seen from above, (ny, nx) (m), is eroded by a ball of radius ``zone`` (m), mirrored at the sides:
-    a point of the bulk is at least that far below and beside all free space above the deposit.
+    a point of the bulk is at least that far below and beside all free space above the deposit. Raises ``InputError``
+    where the deposit, which begins at the height ``bottom`` (m), is nowhere thicker than the zone.
     """
+    if zone >= float(surface.max()) - bottom:
+        raise InputError(_NO_BULK)
     reach = int(zone / dx)
     if reach < 1:
         return surface - zone
-    steps = np.arange(-reach, reach + 1) * dx
-    square = zone**2 - steps[:, None] ** 2 - steps[None, :] ** 2
+    # no farther than the other side, where it is right (a mirror image is never nearer than the column itself): scipy
+    # goes wrong with balls several times as wide as the box
+    y, x = (np.arange(-most, most + 1) * dx for most in (min(reach, n - 1) for n in surface.shape))
+    square = zone**2 - y[:, None] ** 2 - x[None, :] ** 2
     footprint = square >= 0.0
     ball = np.sqrt(np.where(footprint, square, 0.0))
     # grey erosion takes min(surface - structure)
@@ -86,8 +94,7 @@ def exact_porosity(fraction: np.ndarray, share: np.ndarray) -> float:
         solid += float((np.minimum(layer, 1.0) * weight).sum(dtype=np.float64))
         whole += float(weight.sum(dtype=np.float64))
     if whole <= 0.0:
-        raise InputError("porosity: no bulk is left between the substrate and the surface zone; the deposit is too "
-                         "thin, or --surface-zone too thick")
+        raise InputError(_NO_BULK)
     return 1.0 - solid / whole
 
 
@@ -135,7 +142,7 @@ def split_pores(fraction: np.ndarray, share: np.ndarray, surface: np.ndarray, dx
     """
     whole = float(share.sum(dtype=np.float64))
     if whole <= 0.0:
-        raise InputError("porosity: no bulk is left between the substrate and the surface zone")
+        raise InputError(_NO_BULK)
     labels, count = ndimage.label(fraction < HALF_FULL)
     top = np.ceil(surface / dx - 1e-6).astype(int)
     is_open = np.zeros(count + 1, dtype=bool)

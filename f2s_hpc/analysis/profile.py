@@ -14,10 +14,19 @@ EDGE_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Profile:
-    """Height above the substrate top (m), ``height`` (n,), at the places ``x`` (m), ascending, (n,)."""
+    """Height above the substrate top (m), ``height`` (n,), at the places ``x`` (m), ascending, (n,).
+
+    ``spacing``: of the places (m), needed where there is one only, as in a box one cell wide.
+    """
 
     x: np.ndarray
     height: np.ndarray
+    spacing: float = 0.0
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """What length each point stands for (m): halfway to its neighbours, an end point as much outside as inside."""
+        return np.gradient(self.x) if self.x.size > 1 else np.full(self.x.size, self.spacing)
 
 
 @dataclass(frozen=True)
@@ -65,28 +74,27 @@ def mean_profile(surface: np.ndarray, dx: float, substrate_height: float, along:
     if along not in ("x", "y"):
         raise InputError(f'profile: the track can run along "x" or "y", not {along!r}')
     height = surface.mean(axis=0 if along == "y" else 1) - substrate_height
-    return Profile((np.arange(height.size) + 0.5) * dx, height)
+    return Profile((np.arange(height.size) + 0.5) * dx, height, dx)
 
 
 def mirrored(profile: Profile) -> Profile:
     """Return the whole of a track of which the half beside the symmetry side x = 0 was simulated."""
     return Profile(np.concatenate([-profile.x[::-1], profile.x]),
-                   np.concatenate([profile.height[::-1], profile.height]))
+                   np.concatenate([profile.height[::-1], profile.height]), profile.spacing)
 
 
 def profile_size(profile: Profile) -> ProfileSize:
     """Return maximum height, width and area of a profile.
 
-    Each point stands for the stretch halfway to its neighbours, an end point for as much outside as inside, so a
-    profile of cell centres reaches to the sides of the box. Width: distance of the outermost crossings of
-    ``EDGE_SHARE`` of the maximum, linear between points, or to the end where it does not come down to that. Area: sum
-    of height times stretch; what is below the substrate top counts as zero.
+    Each point stands for its ``stretch``, so a profile of cell centres reaches to the sides of the box. Width: distance
+    of the outermost crossings of ``EDGE_SHARE`` of the maximum, linear between points, or to the end where it does not
+    come down to that. Area: sum of height times stretch; what is below the substrate top counts as zero.
     """
     x, height = profile.x, np.maximum(profile.height, 0.0)
     maximum = float(profile.height.max())
     if maximum <= 0.0:
         return ProfileSize(maximum, 0.0, 0.0)
-    level, stretch = EDGE_SHARE * maximum, np.gradient(x)
+    level, stretch = EDGE_SHARE * maximum, profile.stretch
     inside = np.flatnonzero(height >= level)
     low, high = int(inside[0]), int(inside[-1])
     left = x[0] - 0.5 * stretch[0] if low == 0 else np.interp(level, height[[low - 1, low]], x[[low - 1, low]])
@@ -102,8 +110,10 @@ def overlap(first: Profile, second: Profile, align: bool = False) -> Overlap:
     integral of min(h1, h2) over integral of max(h1, h2), the strictest of the usual ones, and beside it the common
     area over that of the second profile. Integrals run over the x that both cover, heights below zero count as zero.
     ``align``: move the first so that the centroids of the two agree (the zero of a scan is arbitrary).
-    Raises ``InputError`` when the two have no x in common, or no area.
+    Raises ``InputError`` when the two have no x in common, or no area, or the first is one point only.
     """
+    if first.x.size < 2:
+        raise InputError("overlap: the box is one cell wide across the track, which is no profile to lay over another")
     shift = _centroid(second) - _centroid(first) if align else 0.0
     x1 = first.x + shift
     low, high = max(x1[0], second.x[0]), min(x1[-1], second.x[-1])
@@ -125,8 +135,8 @@ def _centroid(profile: Profile) -> float:
     weight = np.maximum(profile.height, 0.0)
     if weight.sum() <= 0.0:
         raise InputError("overlap: a profile without any height above the substrate has no overlap")
-    width = np.gradient(profile.x)
-    return float((profile.x * weight * width).sum() / (weight * width).sum())
+    weight = weight * profile.stretch
+    return float((profile.x * weight).sum() / weight.sum())
 
 
 def _span(x: np.ndarray) -> str:

@@ -21,7 +21,8 @@ REACH = 1.0
 ISO 16610-21 allows half a cutoff (0.76 % of the area is then missing); twice that costs nothing here."""
 
 MIRROR, RENORMALISED = "mirror", "renormalised"
-LEAST_CELLS = 4
+LEAST_CELLS, MOST_CELLS = 4, 50_000
+"""Lengths of the cutoff; far beyond the box nothing is left to filter, and the weights would fill the memory."""
 STANDARD_LENGTHS = 5
 """An evaluation length by ISO 21920 is this many cutoffs."""
 
@@ -67,11 +68,14 @@ def gaussian_weights(dx: float, cutoff: float) -> np.ndarray:
     """Return the weights of the filter at multiples of ``dx``, (2 n + 1,), their sum 1 (lengths in m).
 
     Raises ``InputError`` when the cutoff is shorter than ``LEAST_CELLS`` cells: sampled more coarsely than that, the
-    weights no longer transmit half of a wave at the cutoff.
+    weights no longer transmit half of a wave at the cutoff; or longer than ``MOST_CELLS``.
     """
     if not (math.isfinite(cutoff) and cutoff >= LEAST_CELLS * dx * (1.0 - 1e-9)):
         raise InputError(f"cutoff {1e6 * cutoff:g} um: it must be at least {LEAST_CELLS} cells "
                          f"({LEAST_CELLS * dx * 1e6:g} um)")
+    if cutoff > MOST_CELLS * dx:
+        raise InputError(f"cutoff {1e6 * cutoff:g} um: it must be at most {MOST_CELLS:,} cells "
+                         f"({MOST_CELLS * dx * 1e6:g} um)")
     reach = math.ceil(REACH * cutoff / dx)
     weights = np.exp(-math.pi * (np.arange(-reach, reach + 1) * dx / (ALPHA * cutoff)) ** 2)
     return weights / weights.sum()

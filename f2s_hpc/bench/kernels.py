@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc._jit import cache_directory, source_hash
 from f2s_hpc.bench import states
 from f2s_hpc.bench.hook import Stopwatches, hooked
@@ -208,7 +208,4 @@ def overview(rows: Sequence[Row]) -> str:
 def write_json(path: str | os.PathLike, machine: Machine, rows: Sequence[Row]) -> None:
     """Write machine and rows as one JSON file; raises ``InputError`` if the place cannot be written."""
     record = {"machine": asdict(machine), "ranks": mpi.size(), "rows": [asdict(row) for row in rows]}
-    try:
-        pathlib.Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    places.write_text(path, json.dumps(record, indent=1) + "\n")

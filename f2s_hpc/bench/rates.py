@@ -14,6 +14,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc._jit import cache_directory, source_hash
 from f2s_hpc.bench import crowd, states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
@@ -206,12 +207,8 @@ def cache_file(scene: Scene) -> pathlib.Path:
 
 def write_rates(path: str | os.PathLike, rates: Rates) -> None:
     """Write rates as JSON; raises ``InputError`` if the place cannot be written."""
-    path = pathlib.Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(asdict(rates), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    places.make_folder(pathlib.Path(path).parent, "--rates")
+    places.write_text(path, json.dumps(asdict(rates), indent=1) + "\n")
 
 
 def read_rates(path: str | os.PathLike) -> Rates:
@@ -221,13 +218,18 @@ def read_rates(path: str | os.PathLike) -> Rates:
         record["exchanges"] = tuple((float(c), float(n)) for c, n in record["exchanges"])
         record["sizes"] = tuple((int(n), float(factor)) for n, factor in record["sizes"])
         rates = Rates(**record)
-        numbers = [rates.per_step, rates.ghost_share, rates.end_share, rates.packing, rates.crowding,
-                   *(rates.per_cell[kind] for kind in (SOLID, FLYING))]
+        numbers = [rates.per_step, rates.ghost_share, rates.end_share, rates.packing, rates.crowding, rates.reductions,
+                   *(rates.per_cell[kind] for kind in (SOLID, FLYING)), *itertools.chain(*rates.exchanges)]
         if not all(np.isfinite(float(n)) and n >= 0.0 for n in numbers) or rates.packing == 0.0:
             raise ValueError("a rate is not a positive number")
+        counts = (rates.steps, rates.cores, *(cells for cells, _ in rates.sizes))
+        if not all(type(n) is int and 0 < n < 2**63 for n in counts):
+            raise ValueError("a number of steps, cores or cells is not a whole one above 0")
+        if not all(0.0 < factor < np.inf for _, factor in rates.sizes) or set(rates.per_cell) != {SOLID, FLYING}:
+            raise ValueError("a size without its factor, or another kind of cell")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise InputError(f"{path}: is no file of rates as f2s plan writes it ({error})") from None
     return rates
 
@@ -238,7 +240,7 @@ def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[st
     What another version of the code kept is measured anew. Raises ``InputError`` if ``path`` is no file of rates.
     """
     place = pathlib.Path(path) if path else cache_file(scene)
-    if place.exists():
+    if places.kind(place) != places.NOTHING:
         try:
             return read_rates(place)
         except InputError:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import pathlib
+import signal
 import sys
 from typing import NoReturn, TextIO
 
+from f2s_hpc import places
 from f2s_hpc.cli import measuring
 from f2s_hpc.errors import F2SError, InputError
 
@@ -101,12 +105,12 @@ def _verify_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def _scenes(arguments: argparse.Namespace) -> int:
+    from f2s_hpc import mpi
     from f2s_hpc.config import load_scene, scene_names, scene_text
-    if arguments.name:
-        print(scene_text(arguments.name), end="")
-        return 0
-    for name in scene_names():
-        print(f"{name:20s} {load_scene(name).title}")
+    text = (scene_text(arguments.name) if arguments.name else
+            "".join(f"{name:20s} {load_scene(name).title}\n" for name in scene_names()))
+    if mpi.is_root():
+        print(text, end="")
     return 0
 
 
@@ -195,23 +199,39 @@ def main(arguments: list[str]) -> int:
     from f2s_hpc import mpi
     mpi.install_abort_hook()
     try:
-        return _COMMANDS[parsed.command](parsed)
+        code = _COMMANDS[parsed.command](parsed)
+        sys.stdout.flush()
+        return code
     except F2SError as error:
-        if mpi.is_root():
-            prefix = "" if isinstance(error, InputError) else "f2s: "
-            sys.stdout.flush()
-            print(f"{prefix}{error}", file=sys.stderr, flush=True)
-        return error.exit_code
-    except MemoryError as error:
-        if mpi.size() > 1:  # (maybe of this rank only: the others wait, so the abort hook must end them)
+        return _told(error)
+    except (OSError, MemoryError) as error:
+        if mpi.size() > 1:  # (the other ranks may wait for this one: the hook ends them all)
             raise
-        print(f"f2s: {mpi.out_of_memory(error)}", file=sys.stderr, flush=True)
-        return InputError.exit_code
+        return _left_alone() if isinstance(error, BrokenPipeError) else _told(places.refused(error))
     finally:
         if "f2s_hpc.grid.halo" in sys.modules and sys.exc_info()[0] is None:
             sys.modules["f2s_hpc.grid.halo"].release_all()
 
 
+def _told(error: F2SError) -> int:
+    """Print the one line about an error on rank 0; return the exit code."""
+    if _speaks():
+        prefix = "" if isinstance(error, InputError) else "f2s: "
+        sys.stdout.flush()
+        print(f"{prefix}{error}", file=sys.stderr, flush=True)
+    return error.exit_code
+
+
+def _left_alone() -> int:
+    """Print no more, as what reads the output (head, less) has ended; return the exit code that shells give for it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 128 + signal.SIGPIPE
+
+
 def entry() -> None:
     """Entry point of the ``f2s`` command."""
+    for stream in (sys.stdout, sys.stderr):
+        # (a terminal without Greek letters and arrows shows ? for them)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     sys.exit(main(sys.argv[1:]))

@@ -97,6 +97,8 @@ def compare(arguments: argparse.Namespace) -> int:
     """Run ``f2s compare``: what was measured, unless only bits are asked for, then field by field."""
     from f2s_hpc.errors import F2SError
     from f2s_hpc.io.compare import compare_runs, format_comparison
+    from f2s_hpc.report.commands import alone
+    alone("compare")
     comparison = compare_runs(arguments.first, arguments.second)
     if not arguments.exact:
         from f2s_hpc.report import commands

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import pathlib
 
-from f2s_hpc import mpi, units
+from f2s_hpc import mpi, places, units
 from f2s_hpc.bench import rates as measured
 from f2s_hpc.bench import trial
 from f2s_hpc.config import load_scene
@@ -44,6 +43,8 @@ def run(parsed: argparse.Namespace) -> int:
     if not (latency >= 0.0 and 0.0 < parsed.bandwidth < float("inf")):
         raise InputError("f2s plan: --latency must not be negative and --bandwidth must be above 0")
     duration = _time("--check-time", parsed.check_time) if parsed.check_time else None
+    if parsed.json:
+        places.check_file(parsed.json, "--json")
     scene = load_scene(parsed.scene, parsed.overrides)
     plan = make_batches(scene)
     network = predict.Network(latency, 1e9 * parsed.bandwidth)
@@ -61,12 +62,6 @@ def run(parsed: argparse.Namespace) -> int:
     if rows:
         print(trial.comparison(rows))
     if parsed.json:
-        _write(parsed.json, {"predictions": [p.row() for p in found], "check": rows})
+        record = {"predictions": [p.row() for p in found], "check": rows}
+        places.write_text(parsed.json, json.dumps(record, indent=1) + "\n")
     return 0
-
-
-def _write(path: str, record: dict) -> None:
-    try:
-        pathlib.Path(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

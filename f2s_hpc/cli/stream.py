@@ -6,10 +6,9 @@ import argparse
 import dataclasses
 import json
 import math
-import pathlib
 from typing import TYPE_CHECKING
 
-from f2s_hpc import mpi, units
+from f2s_hpc import mpi, places, units
 from f2s_hpc.cli.stream_options import DEFAULT_SPEEDS, DIAMETERS, PICTURE
 from f2s_hpc.errors import InputError
 
@@ -24,6 +23,7 @@ def stream(arguments: argparse.Namespace) -> int:
         from f2s_hpc.config.stream import scene_keys
         from f2s_hpc.particles.measurement import read_measurement
         from f2s_hpc.particles.stream import as_record, fit_stream
+        _test_places(arguments.json, arguments.out)
         fit = fit_stream(read_measurement(arguments.measurement))
         record = as_record(fit)
         keys = [f'{section}.{name} = "{_short(text)}"' for section, table in
@@ -33,8 +33,7 @@ def stream(arguments: argparse.Namespace) -> int:
             _write_json(arguments.json, record)
             lines.append(f'fits {arguments.json}; a scene takes them with particles.stream = "{arguments.json}"')
         if arguments.out:
-            folder = pathlib.Path(arguments.out)
-            _make_folder(folder)
+            folder = places.make_folder(arguments.out, "--out")
             draw_stream(fit, folder / PICTURE)
             lines.append(f"picture {folder / PICTURE}")
         return "\n".join(lines)
@@ -53,6 +52,7 @@ def feed(arguments: argparse.Namespace) -> int:
     def work() -> str:
         from f2s_hpc.particles.feed import Feed, count_particles
         from f2s_hpc.particles.sizes import RosinRammler
+        _test_places(arguments.json)
         diameters = [_quantity(arguments, name, "length") for name, _, _ in DIAMETERS]
         sizes = RosinRammler.fit(*diameters)
         powder = Feed(_quantity(arguments, "feed_rate", "mass flow"), _percent(arguments.share),
@@ -114,18 +114,16 @@ def _percent(text: str) -> float:
     return value
 
 
+def _test_places(json_file: str | None, folder: str | None = None) -> None:
+    """Raise ``InputError`` if one of the places could not be written, before anything is."""
+    if json_file:
+        places.check_file(json_file, "--json")
+    if folder:
+        places.check_folder(folder, "--out")
+
+
 def _write_json(path: str, record: dict) -> None:
-    try:
-        pathlib.Path(path).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
-
-
-def _make_folder(folder: pathlib.Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); name another folder with --out") from None
+    places.write_text(path, json.dumps(record, indent=2) + "\n")
 
 
 def _say(text: str) -> None:

@@ -6,7 +6,7 @@ import itertools
 import os
 import pathlib
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.analysis.table import format_table
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
@@ -108,9 +108,9 @@ def resume(folder: str, overrides: list[str]) -> int:
     ``CheckpointError`` where no checkpoint is valid.
     """
     for text in overrides:
-        if text.split(".")[0] not in ("run", "output"):
+        if text.partition("=")[0].split(".")[0].strip() not in ("run", "output"):
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections')
-    mpi.run_together(_check_folder, folder)
+    mpi.run_together(places.run_folder, folder)
     with runs.hold(folder):
         return _resume(folder, overrides)
 
@@ -133,13 +133,6 @@ def _resume(folder: str, overrides: list[str]) -> int:
         _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
              f"{1e6 * clock.time:.4f} us, on {mpi.size()} ranks")
     return _finish(simulation, folder)
-
-
-def _check_folder(folder: str) -> None:
-    path = pathlib.Path(folder)
-    if not path.is_dir():
-        raise InputError(f"{folder}: " + ("is a file, not the folder of a run" if path.exists() else "no such folder")
-                         + "; name the folder that 'f2s run' has written")
 
 
 def _checkpoint_attributes(path: os.PathLike) -> dict:
@@ -232,8 +225,12 @@ def inspect(folder: str) -> int:
         if lacking:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_JSON}: lacks {', '.join(lacking)}; "
                              f"is {folder} the folder of a run?")
+        try:
+            table = format_table(runs.read_cycle_table(folder))
+        except InputError as error:
+            raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_CSV}: {error}") from None
         return (f"{summary['scene']}: {summary['status']}, {summary['particles']} particles, {summary['ranks']} ranks\n"
-                + format_table(runs.read_cycle_table(folder)))
+                + table)
 
     _say(mpi.run_together(read))
     return 0

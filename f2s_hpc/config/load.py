@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from pydantic import ValidationError
 
+from f2s_hpc import places
 from f2s_hpc.config.messages import did_you_mean, one_line, origin
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.config.sections import length_text
@@ -88,10 +89,11 @@ def _read(name: str) -> tuple[dict, str, pathlib.Path]:
     """Return the raw tables, how to name the source in errors, and the folder of relative paths."""
     if name in scene_names():
         return _parse_toml(scene_text(name), f"scene {name}"), f"scene {name}", pathlib.Path.cwd()
-    path = pathlib.Path(name).expanduser()
-    if not path.is_file():
-        if path.suffix == ".toml" or os.sep in name or path.exists():
-            raise InputError(f"{name}: no such file" if not path.exists() else f"{name}: not a file")
+    path = places.expanded(name)
+    found = places.kind(path)
+    if found != places.FILE:
+        if path.suffix == ".toml" or os.sep in name or found != places.NOTHING:
+            raise InputError(f"{name}: no such file" if found == places.NOTHING else f"{name}: not a file")
         raise InputError(f'no scene "{name}": neither a built-in one nor a file; {did_you_mean(name, scene_names())}')
     try:
         text = path.read_text(encoding="utf-8")
@@ -225,8 +227,11 @@ def _resolve_files(raw: dict, source: str, folder: pathlib.Path, keys: Sequence[
         return
     where = origin("batches.files", source, keys)
     base = pathlib.Path.cwd() if where != source else folder
-    absolute = [pathlib.Path(os.path.abspath(base / pathlib.Path(f).expanduser())) for f in files]
-    for given, path in zip(files, absolute):
-        if not path.is_file():
-            raise InputError(f'{where}: batches.files: no file "{given}" (looked for {path})')
+    try:
+        absolute = [pathlib.Path(os.path.abspath(base / places.expanded(f))) for f in files]
+        missing = next(((f, path) for f, path in zip(files, absolute) if places.kind(path) != places.FILE), None)
+    except InputError as error:
+        raise InputError(f"{where}: batches.files: {error}") from None
+    if missing is not None:
+        raise InputError(f'{where}: batches.files: no file "{missing[0]}" (looked for {missing[1]})')
     batches["files"] = [str(path) for path in absolute]

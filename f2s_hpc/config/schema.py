@@ -27,6 +27,9 @@ MOST_STEPS, FINE = 8, 5.4
 """Steps that go by between two remaps at most, where the median particle has ``FINE`` cells or more to its diameter:
 there PEEQ, temperatures and heights change by under 0.5 % against a remap after each step (measured: README)."""
 
+FASTEST_SOUND = 3e8  # m/s: that of light
+MOST_STEPS_OF_RUN = 1e12
+
 RESOLVED = 12.0
 SPEED_LIMITS = {"speed_limit_factor": (1.2, 3.0), "speed_cap_factor": (2.0, 4.0)}
 """Defaults below and from ``RESOLVED`` cells per diameter of the median particle on. Jets of symmetric impacts are up
@@ -84,12 +87,29 @@ def _check_temperatures(scene: Scene) -> None:
 def _check_speeds(scene: Scene) -> None:
     """Raise if the speed law stops or turns particles somewhere in the box, or makes them faster than any are."""
     low, high = scene.speed_range
+    if math.isnan(high):
+        raise wrong("batches.jet_centre", "is too far from the box for numbers to tell; is its unit right?")
     if not high <= FASTEST:
         key = "particles.speed" if scene.particles.speed > FASTEST else "particles.speed_curvature"
         raise wrong(key, f"makes {high:.4g} m/s, more than {FASTEST:.0e} m/s; is its unit right?")
     if low <= 0.0:
         raise wrong("particles.speed_curvature", f"turns the speed into {low:.4g} m/s at a side of the box; "
                                                  "it must stay above 0 everywhere")
+
+
+def _check_steps(scene: Scene) -> None:
+    """Raise if sound is too fast for any time step, or the steps of the run are too many to end ever."""
+    try:
+        sound = scene.material.longitudinal_sound_speed
+    except (OverflowError, ZeroDivisionError):
+        sound = math.inf
+    if not 0.0 < sound <= FASTEST_SOUND:
+        raise wrong("material.density", f"and the elastic constants give sound {sound:.3g} m/s, {FASTEST_SOUND:.3g} "
+                                        "are possible; are their units right?")
+    steps = scene.cycles.total_time * sound / (scene.numerics.courant * scene.domain.cell_size)
+    if not steps <= MOST_STEPS_OF_RUN:
+        raise wrong("cycles.duration", f"takes {steps:.3g} time steps at this cell size, {MOST_STEPS_OF_RUN:.3g} are "
+                                       "possible; is its unit right?")
 
 
 class Scene(Section):
@@ -128,6 +148,7 @@ class Scene(Section):
         _check_sleep(self)
         _check_temperatures(self)
         _check_speeds(self)
+        _check_steps(self)
         there = {field.name for field in self.needed_fields}
         for name, need in ONLY_WITH.items():
             if name in self.output.fields and name not in there:

@@ -83,7 +83,8 @@ class Domain(Section):
         smallest, height = min(self.size), self.size[2]
         if self.cell_size > smallest:
             raise wrong("cell_size", f"is larger than the box ({length_text(smallest)} in its shortest direction)")
-        count = math.prod(self.cells)
+        edges = max(self.size) / self.cell_size  # (the rounding to whole cells knows no infinity)
+        count = math.prod(self.cells) if edges <= MAX_CELLS else edges
         if count > MAX_CELLS:
             raise wrong("cell_size", f"gives {count:.3g} cells, {MAX_CELLS:.3g} are possible; is its unit right?")
         if self.substrate_height >= height:
@@ -139,8 +140,8 @@ class Particles(Section):
 class Batches(Section):
     """The spheres: read from files, listed here, or generated from a seed."""
 
-    count: Whole = Field(default=0, ge=0, description="number of batches to generate")
-    particles: Whole = Field(default=0, ge=0, description="particles in each generated batch")
+    count: Whole = Field(default=0, ge=0, le=10_000, description="number of batches to generate")
+    particles: Whole = Field(default=0, ge=0, le=1_000_000, description="particles in each generated batch")
     files: tuple[str, ...] = Field(default=(), description="CSV files (x,y,z,r in mm; with own velocities vx,vy,vz "
                                                            "in m/s or without), one per batch")
     spheres: tuple[tuple[Length, Length, Length, PositiveLength], ...] = Field(
@@ -151,8 +152,8 @@ class Batches(Section):
         default=None, description="width of the sech, 0.76 of the distance from its axis to half its height, m")
     jet_centre: Length = Field(default=0.0, description="x of the jet's axis, for sech and speed curvature, m")
     seed: Whole = Field(default=1, ge=0, lt=2**63, description="seed of sizes, positions and order")
-    gap_factor: Number = Field(default=1.02, ge=1, description="least centre distance over the sum of radii")
-    attempts: Whole = Field(default=2000, ge=1, description="tries to place one sphere before giving up")
+    gap_factor: Number = Field(default=1.02, ge=1, le=1000, description="least centre distance over the sum of radii")
+    attempts: Whole = Field(default=2000, ge=1, le=10**9, description="tries to place one sphere before giving up")
     diameter_d10: PositiveLength = Field(default=19e-6, description="10 % of the volume is in smaller particles, m")
     diameter_d50: PositiveLength = Field(default=30e-6, description="50 % of the volume is in smaller particles, m")
     diameter_d90: PositiveLength = Field(default=52e-6, description="90 % of the volume is in smaller particles, m")
@@ -195,7 +196,7 @@ class Batches(Section):
 class Cycles(Section):
     """Each cycle paints one batch and runs for its duration."""
 
-    count: Whole = Field(ge=1, description="number of cycles")
+    count: Whole = Field(ge=1, le=100_000, description="number of cycles")
     duration: Time = Field(description="duration of each cycle but the last, s")
     last_duration: Time = Field(default_factory=lambda data: data["duration"],
                                 description="duration of the last cycle, s; default: as the others")

@@ -7,11 +7,12 @@ speed of their place. A track is symmetric, so the scene takes the even part of 
 from __future__ import annotations
 
 import json
+import math
 import os
 import pathlib
 from collections.abc import Sequence
 
-from f2s_hpc import units
+from f2s_hpc import places, units
 from f2s_hpc.errors import InputError
 
 FORMAT = "f2s stream 1"
@@ -25,7 +26,7 @@ def read_record(path: str | os.PathLike) -> dict:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); "
                          "'f2s stream CSV --json FILE' writes one") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         record = None
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise InputError(f"{path}: not a file that 'f2s stream CSV --json FILE' has written")
@@ -35,12 +36,14 @@ def read_record(path: str | os.PathLike) -> dict:
 def scene_keys(record: dict, source: str | os.PathLike) -> dict[str, dict[str, str]]:
     """Return the keys, by section, that a scene takes from the fits in ``record``, as it would write them.
 
-    Raises InputError, naming ``source``, when a number is missing.
+    Raises InputError, naming ``source``, when a number is missing or none.
     """
     try:
         speed, number = record["velocity_over_lateral_position"], record["number_over_lateral_position"]
         values = [float(part["value"]) for part in (speed["axis_m_s"], speed["curvature_1_m_s"], number["width_m"])]
-    except (KeyError, TypeError, ValueError):
+        if not all(map(math.isfinite, values)):
+            raise ValueError("not a number")
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise InputError(f"{source}: lacks the fits of number and velocity over the lateral position; write it anew "
                          "with 'f2s stream CSV --json FILE'") from None
     return {"particles": {"speed": units.show(values[0], "speed"),
@@ -62,7 +65,7 @@ def take_stream(raw: dict, folder: pathlib.Path, overrides: Sequence[str]) -> No
     name = particles.pop("stream")
     if not isinstance(name, str):
         raise InputError(f'{KEY}: must be the name of a file in quotes, written by "f2s stream CSV --json FILE"')
-    path = folder / pathlib.Path(name).expanduser()
+    path = folder / places.expanded(name)
     for section, keys in scene_keys(read_record(path), path).items():
         table = raw.setdefault(section, {})
         if isinstance(table, dict):

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import h5py
 import numpy as np
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.errors import CheckpointError, F2SError
 from f2s_hpc.io import layout
 from f2s_hpc.io.layout import ATTRIBUTES, FIELDS_GROUP, Block, attempt_on_root, attempt_together, box_selection
@@ -89,6 +89,8 @@ def _file_checksums(path: pathlib.Path, shapes: Mapping[str, tuple[int, int, int
     def slabs() -> np.ndarray:
         sums = np.zeros(len(shapes), dtype=np.uint64)
         with h5py.File(path, "r") as file:
+            if set(file[FIELDS_GROUP]) != set(shapes):
+                raise ValueError("the manifest tells of other fields than it holds")
             for number, (name, shape) in enumerate(shapes.items()):
                 dataset = file[f"{FIELDS_GROUP}/{name}"]
                 if dataset.shape != shape or dataset.dtype != np.float64:
@@ -186,11 +188,11 @@ def _unfit(path: pathlib.Path, requests: Mapping[str, Box], manifest: Manifest) 
 
 
 def list_checkpoints(folder: str | os.PathLike) -> list[pathlib.Path]:
-    """Return the checkpoint files of ``folder``, oldest first, finished or not. No MPI."""
-    folder = pathlib.Path(folder)
-    if not folder.is_dir():
-        return []
-    found = [(key, path) for path in folder.iterdir() if (key := layout.checkpoint_key(path.name)) is not None]
+    """Return the checkpoint files of ``folder``, oldest first, finished or not. No MPI.
+
+    Raises ``InputError`` when the folder is not ours to read.
+    """
+    found = [(key, path) for path in places.entries(folder) if (key := layout.checkpoint_key(path.name)) is not None]
     return [path for _, path in sorted(found)]
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.io import layout
 from f2s_hpc.io.checkpoint import list_checkpoints
@@ -211,8 +212,7 @@ def compare_runs(first: str | os.PathLike, second: str | os.PathLike) -> Compari
     """
     result = Comparison(pathlib.Path(first), pathlib.Path(second))
     for folder in (result.first, result.second):
-        if not folder.is_dir():
-            raise InputError(f"{folder}: no such folder; name the folders of two runs")
+        places.run_folder(folder)
         if not (list_frames(folder) or list_checkpoints(folder / layout.CHECKPOINTS) or read_cycle_table(folder)):
             raise InputError(f"{folder}: holds no frames, checkpoints or {layout.SUMMARY_CSV}; name a run's folder")
     _compare_frames(result)

@@ -16,7 +16,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 import f2s_hpc
-from f2s_hpc.errors import CheckpointError
+from f2s_hpc import places
+from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.io import layout
 from f2s_hpc.io.layout import Block
 
@@ -118,6 +119,13 @@ def write_manifest(path: pathlib.Path, blocks: Sequence[Block], checksums: Seque
     layout.write_text_file(manifest_path(path), layout.encode_json(record) + "\n")
 
 
+def _kind(path: pathlib.Path) -> str:
+    try:
+        return places.kind(path)
+    except InputError as error:
+        raise CheckpointError(str(error)) from None
+
+
 def read_manifest(path: pathlib.Path) -> Manifest:
     """Return the manifest of checkpoint ``path`` and test the file's size against it. No MPI.
 
@@ -125,7 +133,7 @@ def read_manifest(path: pathlib.Path) -> Manifest:
     checkpoint is missing or of another size.
     """
     place = manifest_path(path)
-    if not place.exists():
+    if _kind(place) == places.NOTHING:
         raise CheckpointError(f"{path}: no manifest {place.name}, so the checkpoint was never finished")
     try:
         record = json.loads(place.read_text(encoding="utf-8"))
@@ -137,11 +145,13 @@ def read_manifest(path: pathlib.Path) -> Manifest:
         name = record["file"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CheckpointError(f"{place}: damaged manifest ({type(error).__name__}: {error})") from None
+    if not fields:
+        raise CheckpointError(f"{place}: damaged manifest: it tells of no field")
     if version != layout.FORMAT_VERSION:
         raise CheckpointError(f"{place}: checkpoint format {version}, this version reads {layout.FORMAT_VERSION}")
     if complete is not True or name != path.name:
         raise CheckpointError(f"{place}: not the manifest of a complete {path.name}")
-    if not path.is_file():
+    if _kind(path) != places.FILE:
         raise CheckpointError(f"{path}: the manifest is there, the checkpoint file is missing")
     if path.stat().st_size != found.size:
         raise CheckpointError(f"{path}: {path.stat().st_size} bytes, the manifest says {found.size}")

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.io import layout
 from f2s_hpc.io.manifest import manifest_path, read_manifest, text_digest
@@ -112,9 +112,8 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
 
 def _has_checkpoint(path: pathlib.Path) -> bool:
     """Tell whether the run folder ``path`` holds a finished checkpoint."""
-    folder = path / layout.CHECKPOINTS
-    return folder.is_dir() and any(layout.checkpoint_key(file.name) is not None and manifest_path(file).exists()
-                                   for file in folder.iterdir())
+    return any(layout.checkpoint_key(file.name) is not None and places.kind(manifest_path(file)) == places.FILE
+               for file in places.entries(path / layout.CHECKPOINTS))
 
 
 def read_summary(path: str | os.PathLike) -> dict:
@@ -137,7 +136,7 @@ def read_cycle_table(path: str | os.PathLike) -> list[dict[str, str]]:
     Raises ``InputError`` when it cannot be read.
     """
     place = pathlib.Path(path) / layout.SUMMARY_CSV
-    if not place.exists():
+    if places.kind(place) == places.NOTHING:
         return []
     try:
         with place.open(newline="", encoding="utf-8") as file:
@@ -147,11 +146,11 @@ def read_cycle_table(path: str | os.PathLike) -> list[dict[str, str]]:
 
 
 def list_frames(folder: str | os.PathLike, frames: str = layout.FRAMES) -> list[int]:
-    """Return the numbers of the frames in the run folder ``folder``, ascending."""
-    place = pathlib.Path(folder) / frames
-    if not place.is_dir():
-        return []
-    matches = (layout.FRAME_NAME.fullmatch(path.name) for path in place.iterdir())
+    """Return the numbers of the frames in the run folder ``folder``, ascending.
+
+    Raises ``InputError`` when its frames are not ours to read.
+    """
+    matches = (layout.FRAME_NAME.fullmatch(path.name) for path in places.entries(pathlib.Path(folder) / frames))
     return sorted(int(match[1]) for match in matches if match is not None)
 
 
@@ -188,7 +187,7 @@ def open_frame(folder: str | os.PathLike, number: int,
     frame or a field is missing, ``F2SError`` when the file is damaged.
     """
     path = pathlib.Path(folder) / layout.FRAMES / layout.frame_name(number)
-    if not path.exists():
+    if places.kind(path) == places.NOTHING:
         numbers = list_frames(folder)
         raise InputError(f"{path}: no such frame; {'this run has frames ' + str(numbers) if numbers else 'no frames'}")
     meta = read_frame_meta(path)
@@ -243,8 +242,12 @@ class CheckpointLayers:
     def __enter__(self) -> CheckpointLayers:
         try:
             self._file = h5py.File(self.path, "r")
-        except OSError as error:
+            held = {name: dataset.shape for name, dataset in self._file[layout.FIELDS_GROUP].items()}
+        except (OSError, KeyError) as error:
             raise CheckpointError(f"{self.path}: damaged checkpoint ({' '.join(str(error).split())})") from None
+        if held != self.shapes:
+            self._file.close()
+            raise CheckpointError(f"{self.path}: damaged checkpoint (the manifest tells of other fields than it holds)")
         return self
 
     def __exit__(self, *_: object) -> None:

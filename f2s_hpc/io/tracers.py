@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.errors import F2SError
 from f2s_hpc.io import layout
 from f2s_hpc.io.layout import POINT_DATA, PROVENANCE, VTK_ROOT, Block, attempt_on_root
@@ -151,7 +151,7 @@ def read_tracers(folder: str | os.PathLike, cycle: int) -> TracerCloud | None:
     Raises ``F2SError`` for a file that cannot be read.
     """
     path = tracer_path(folder, cycle)
-    if not path.exists():
+    if places.kind(path) == places.NOTHING:
         return None
     try:
         with h5py.File(path, "r") as file:

@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.sphere import sphere_box_volume
 from f2s_hpc.particles.lateral import SechProfile
 from f2s_hpc.particles.packing import pack, smallest_gap_ratio
-from f2s_hpc.particles.sizes import RosinRammler
+from f2s_hpc.particles.sizes import SMALLEST, RosinRammler
 
 COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
@@ -169,19 +170,13 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     as needed. Written under another name first, so that no half-written file is left.
     Raises InputError if the place cannot be written.
     """
-    path = Path(path)
-    partial = path.with_name(path.name + ".part")
     spheres = zip(batch.x, batch.y, batch.z, batch.r)
     rows = [",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere) for sphere in spheres]
     header = COLUMNS
     if batch.velocity is not None:
         header = COLUMNS + VELOCITY_COLUMNS
         rows = [",".join([row, *map(repr, velocity)]) for row, velocity in zip(rows, batch.velocity.tolist())]
-    try:
-        partial.write_text("\n".join([",".join(header), *rows]) + "\n", encoding="ascii")
-        os.replace(partial, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+    places.write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 
 def clipped_volume(batch: Batch, box_x: float, box_y: float, box_z: float) -> float:
@@ -199,7 +194,7 @@ def smallest_gap(batch: Batch) -> float:
 
 
 def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height: float) -> None:
-    """Raise InputError, naming ``label`` and the row, for a sphere that is not in the particle layer.
+    """Raise InputError, naming ``label`` and the row, for a sphere that is not in the particle layer, or is none.
 
     Spheres must lie within 0..height (m) and touch the footprint: a centre less than one radius away from
     0..size_x, 0..size_y (the side walls cut such a sphere).
@@ -207,6 +202,9 @@ def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height:
     slack = LAYER_TOLERANCE * height
     for row in range(batch.count):
         x, y, z, r = (float(values[row]) for values in (batch.x, batch.y, batch.z, batch.r))
+        if 2.0 * r < SMALLEST:
+            raise InputError(f"{label}: row {row + 1}: a radius of {1e3 * r:g} mm; it must be at least "
+                             f"{500.0 * SMALLEST:g} mm")
         if z - r < -slack or z + r > height + slack:
             raise InputError(f"{label}: row {row + 1}: the sphere spans z = {1e3 * (z - r):.6g} to "
                              f"{1e3 * (z + r):.6g} mm, but the particle layer reaches from 0 to {1e3 * height:.6g} mm")

@@ -22,6 +22,7 @@ TABLE_4 = {0.160: 10236, 0.120: 15354, 0.080: 20472}
 """Scanning speed (m/s): particles, table 4 of Ge et al. 2026."""
 
 PARTICLES_PER_BATCH = 2559
+MOST_PARTICLES = 10**15
 
 
 @dataclass(frozen=True)
@@ -69,13 +70,19 @@ class FeedCount:
 def count_particles(feed: Feed, scan_speed: float, per_batch: int = PARTICLES_PER_BATCH) -> FeedCount:
     """Return how many particles the strip receives at ``scan_speed`` (m/s), by the law and in whole batches.
 
-    Raises InputError for a scanning speed or a batch that is not positive.
+    Raises InputError for a scanning speed or a batch that is not positive, and for more than ``MOST_PARTICLES``.
     """
+    if per_batch > MOST_PARTICLES:
+        raise InputError(f"feed: more than {MOST_PARTICLES:,} particles per batch")
     if not scan_speed > 0.0 or per_batch < 1:
         raise InputError(f"feed: {1e3 * scan_speed:g} mm/s and {per_batch} particles per batch; both must be positive")
     time = feed.path / scan_speed
     mass = feed.rate * feed.share * time
-    particles = mass / (feed.density * feed.sizes.mean_particle_volume())
+    each = feed.density * feed.sizes.mean_particle_volume()
+    particles = mass / each if each > 0.0 else math.inf
+    if not particles <= MOST_PARTICLES:
+        raise InputError(f"feed: {particles:.3g} particles at {1e3 * scan_speed:g} mm/s, {MOST_PARTICLES:,} are "
+                         "possible; are the units of feed rate, path, scanning speed, density and diameters right?")
     batches = particles / per_batch
     whole = max(1, math.ceil(batches * (1.0 - 1e-9)))
     paper = next((n for speed, n in TABLE_4.items() if math.isclose(speed, scan_speed, rel_tol=1e-9)), None)

@@ -15,6 +15,8 @@ from f2s_hpc.errors import InputError
 
 PERCENTILES = (0.10, 0.50, 0.90)
 TABLE_POINTS = 16385
+SMALLEST, WIDEST = 1e-12, 1e6
+"""Least diameter (m), and the largest over it: the widest range to the largest exponent tried is still a number."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +50,17 @@ class RosinRammler:
         """Return the distribution whose truncated volume percentiles come closest to D10, D50, D90 (m).
 
         Least squares in the logarithm of the diameters, so each percentile counts by its relative
-        deviation; ``misfit`` tells what is left. Raises InputError unless minimum < D10 < D50 < D90 < maximum.
+        deviation; ``misfit`` tells what is left. Raises InputError unless minimum < D10 < D50 < D90 < maximum, and
+        for a range that numbers cannot hold.
         """
         if not 0 < minimum < d10 < d50 < d90 < maximum:
             sizes = ", ".join(f"{1e6 * value:g}" for value in (minimum, d10, d50, d90, maximum))
             raise InputError("particle sizes: diameter_min < diameter_d10 < diameter_d50 < diameter_d90 < diameter_max "
                              f"is needed, not {sizes} um")
+        if minimum < SMALLEST or maximum > WIDEST * minimum:
+            raise InputError(f"particle sizes: diameters from {1e6 * minimum:g} to {1e6 * maximum:g} um; diameter_min "
+                             f"must be at least {1e6 * SMALLEST:g} um, and diameter_max at most {WIDEST:,.0f} times "
+                             "as large; are their units right?")
         # scipy takes a quarter of a second to load: only who generates particles pays
         from scipy.optimize import least_squares
 

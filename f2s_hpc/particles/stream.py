@@ -28,8 +28,12 @@ from f2s_hpc.particles.measurement import Measurement
 CONFIDENCE = 0.90
 LEAST_BINS, MOST_BINS = 8, 60
 
-FLATTEST = 3.0
-"""Widest sech, in measured ranges, that counts as one: it falls by 1.4 % from its peak to the end of the range."""
+LEAST_SPAN, MOST_SPAN = 1e-9, 1e3
+"""Range of lateral positions (m) beyond which their unit is wrong."""
+
+NARROWEST, FLATTEST = 1e-3, 3.0
+"""Width, in measured ranges, that a sech is looked for from, and the widest that counts as one: it falls by 1.4 % from
+its peak to the end of the range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +199,9 @@ def fit_number(position: np.ndarray, label: str, bins: int | None = None) -> Num
     low, high = float(position.min()), float(position.max())
     if not high > low:
         raise InputError(f"{label}: every lateral position is {1e3 * low:g} mm; a distribution needs a range")
+    if not LEAST_SPAN <= high - low <= MOST_SPAN:
+        raise InputError(f"{label}: the lateral positions go from {1e3 * low:.4g} to {1e3 * high:.4g} mm; a range from "
+                         f"{1e3 * LEAST_SPAN:g} to {1e3 * MOST_SPAN:g} mm is possible: is their unit right?")
     bins = bin_count(position.size) if bins is None else bins
     counts, edges = np.histogram(position, bins=bins, range=(low, high))
     counts = counts.astype(float)
@@ -207,7 +214,10 @@ def fit_number(position: np.ndarray, label: str, bins: int | None = None) -> Num
         return np.sign(counts - number) * np.sqrt(np.maximum(twice, 0.0))
 
     units = np.array([start[0], span, span])
-    bounds = ([1e-6, (low - span) / span, 1e-3], [1e3, (high + span) / span, 10.0])
+    bounds = ([1e-6, (low - span) / span, NARROWEST], [1e3, (high + span) / span, 10.0])
+    if start[2] <= NARROWEST * span:
+        raise InputError(f"{label}: nearly all lateral positions are in one place, and a few as far as "
+                         f"{1e3 * low:.4g} and {1e3 * high:.4g} mm; are these right?")
     best = least_squares(deviance, start / units, bounds=bounds, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     # whether the search ends on a bound or just before it is a matter of rounding
     if (best.active_mask != 0).any() or best.x[2] > FLATTEST:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.analysis.profile import Profile
-from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.errors import InputError
 from f2s_hpc.report import facts, traced
 from f2s_hpc.report.deposit import load_deposit
 from f2s_hpc.report.draw import draw_all
@@ -62,9 +62,12 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
     """
     alone("analyse")
     profile = read_profile(experiment) if experiment else None
+    place = pathlib.Path(out) if out else places.run_folder(folder) / ANALYSIS
+    places.check_folder(place, "--out")
+    if json_file:
+        places.check_file(json_file, "--json")
     found = measured(folder, settings, cycle, profile, handover)
-    place = pathlib.Path(out) if out else pathlib.Path(folder) / ANALYSIS
-    _make(place)
+    places.make_folder(place, "--out")
     print(f"{found.deposit.scene.title}: {facts.subtitle([('', found)])}, from {found.deposit.source}")
     print("\n\n".join(table.as_text() for table in [*tables([("", found)]), *depth_tables([("", found)])]))
     if handover:
@@ -72,8 +75,8 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
     for note in found.notes:
         print(f"note: {note}")
     numbers = json.dumps(as_dictionary(found), indent=1, ensure_ascii=False) + "\n"
-    for path in [place / "analysis.json", *([pathlib.Path(json_file)] if json_file else [])]:
-        _write(path, numbers)
+    for path in [place / "analysis.json", *([json_file] if json_file else [])]:
+        places.write_text(path, numbers)
     _write_tables(place, found)
     drawn = draw_all(place, [("", found)])
     print(f"written to {place}: analysis.json, {', '.join(sorted(p.name for p in place.glob('*.csv')))}, "
@@ -89,15 +92,14 @@ def report(folder: str, settings: Settings, second: str | None = None, cycle: in
     """
     alone("report")
     profile = read_profile(experiment) if experiment else None
+    path = pathlib.Path(out) if out else places.run_folder(folder) / REPORT
+    places.check_file(path, "--out")
     folders = [folder] if second is None else [folder, second]
     labels = run_labels(folders) if second is not None else [""]
-    runs = [(label, measured(place, settings, cycle, profile, handover)) for label, place in zip(labels, folders)]
-    path = pathlib.Path(out) if out else pathlib.Path(folder) / REPORT
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; --out names the HTML file")
+    runs = [(label, measured(name, settings, cycle, profile, handover)) for label, name in zip(labels, folders)]
     with tempfile.TemporaryDirectory() as pictures:
         page = build_page(runs, draw_all(pathlib.Path(pictures), runs))
-    _write(path, page)
+    places.write_text(path, page)
     for text in facts.findings(runs):
         print(text)
     print(f"report {path} ({len(page) / 1e6:.1f} MB, one file, opens without network)")
@@ -185,20 +187,3 @@ def _write_tables(place: pathlib.Path, found: Measurements) -> None:
 
 def _micro(values: np.ndarray) -> list[float]:
     return [float(f"{v:.7g}") for v in _MICRO * np.asarray(values)]
-
-
-def _make(folder: pathlib.Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); name another folder with --out") from None
-
-
-def _write(path: pathlib.Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise F2SError(f"{path}: cannot be written ({error.strerror})") from None

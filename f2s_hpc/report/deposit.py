@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import pathlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc.analysis.surface import attached_material, surface_height
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.output import RunFolder
@@ -15,7 +17,6 @@ from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.fields import STRESS, VELOCITY
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
-from f2s_hpc.io.manifest import read_manifest
 from f2s_hpc.io.tracers import TracerCloud, read_tracers
 from f2s_hpc.kernels import derived
 from f2s_hpc.particles.batch import Batch, flight_speed
@@ -25,6 +26,9 @@ LANDED = 0.1
 
 _LAYERS_AT_ONCE = 16
 _ROWS_AT_ONCE = 32
+Skipped = tuple[int, str]
+"""Cycle of a file that cannot be measured (as its number lets expect, for a frame that tells none), and why."""
+
 FRAME_FIELDS = ("volume_fraction", "peeq", "temperature", "von_mises", "speed")
 
 
@@ -36,7 +40,8 @@ class Deposit:
     ``LANDED`` of ``flight_speed`` and attached (``surface.attached_material``); ``detached``: volume of what is as
     slow but hangs in the air (m3); ``surface``: height of what has landed above the bottom of the box (m), (ny, nx)
     float64; ``time`` (s); ``source``: the file; ``batches``: the spheres painted, in the order of the cycles;
-    ``tracers``: the points of the particles, where the scene asked for them.
+    ``tracers``: the points of the particles, where the scene asked for them; ``skipped``: which newer or better files
+    of the run were passed over, and why.
     """
 
     folder: pathlib.Path
@@ -53,6 +58,7 @@ class Deposit:
     surface: np.ndarray
     batches: list[Batch]
     tracers: TracerCloud | None = None
+    skipped: str = ""
 
     @property
     def dx(self) -> float:
@@ -71,51 +77,76 @@ class Deposit:
         return 2.0 * np.concatenate([batch.r for batch in painted]) if painted else np.empty(0)
 
 
-def checkpoints_by_cycle(folder: str | os.PathLike) -> dict[int, pathlib.Path]:
-    """Return the complete checkpoints of a run that stand at the end of a cycle, the newest of each cycle."""
+def checkpoints_by_cycle(folder: str | os.PathLike, skipped: list[Skipped] | None = None) -> dict[int, pathlib.Path]:
+    """Return the complete checkpoints of a run that stand at the end of a cycle, the newest of each cycle.
+
+    ``skipped`` is told of those that are damaged. Raises ``InputError`` when the folder cannot be read.
+    """
     found = {}
     for path in list_checkpoints(pathlib.Path(folder) / layout.CHECKPOINTS):
+        cycle = layout.checkpoint_key(path.name)[0]
         try:
-            read_manifest(path)
-            if not runs.open_checkpoint_serial(path, [])[1].get("batch_is_in", True):
-                found[layout.checkpoint_key(path.name)[0]] = path
-        except CheckpointError:
-            continue
+            with runs.CheckpointLayers(path) as file:
+                if not file.attributes.get("batch_is_in", True):
+                    found[cycle] = path
+        except CheckpointError as error:
+            if skipped is not None:
+                skipped.append((cycle, str(error)))
     return found
 
 
 def load_deposit(folder: str | os.PathLike, cycle: int | None = None) -> Deposit:
     """Return the deposit of the run in ``folder`` at the end of ``cycle`` (default: the last one finished).
 
-    From the checkpoint of that cycle where it is still there, else from its frame, which is float32. Raises
-    ``InputError`` when the folder holds no run, or neither of the two for this cycle.
+    From the checkpoint of that cycle where it is still there, else from its frame, which is float32; files that were
+    passed over for it stand in ``skipped``. Raises ``InputError`` when the folder holds no run, or neither of the two
+    for this cycle, with the reasons.
     """
-    folder = pathlib.Path(folder)
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; name the folder of a run")
-    checkpoints, frames = checkpoints_by_cycle(folder), _frames_by_cycle(folder)
+    folder = places.run_folder(folder)
+    skipped: list[Skipped] = []
+    checkpoints, frames = checkpoints_by_cycle(folder, skipped), _frames_by_cycle(folder, skipped)
     there = sorted(checkpoints.keys() | frames.keys())
     if not there:
-        raise InputError(f"{folder}: holds no checkpoint at the end of a cycle, and no frame; name a run's folder")
+        raise InputError(f"{folder}: holds no checkpoint at the end of a cycle, and no frame"
+                         + (_reasons(skipped, ", that can be measured: ") or "; name a run's folder"))
     wanted = there[-1] if cycle is None else cycle
     if wanted not in there:
-        raise InputError(f"{folder}: nothing saved of cycle {wanted}; there is {', '.join(map(str, there))}")
+        raise InputError(f"{folder}: nothing saved of cycle {wanted}; there is {', '.join(map(str, there))}"
+                         + _reasons([s for s in skipped if s[0] == wanted], "; skipped: "))
     if wanted in checkpoints:
-        return _from_checkpoint(folder, wanted, checkpoints[wanted])
-    return _from_frame(folder, wanted, frames[wanted])
+        found, least = _from_checkpoint(folder, wanted, checkpoints[wanted]), wanted + 1
+    else:
+        found, least = _from_frame(folder, wanted, frames[wanted]), wanted
+    better = [s for s in skipped if s[0] >= least and cycle in (None, s[0])]
+    return replace(found, skipped=_reasons(better))
 
 
-def _frames_by_cycle(folder: pathlib.Path) -> dict[int, int]:
-    """Return the number of the frame at the end of each cycle."""
+def _reasons(skipped: Sequence[Skipped], opening: str = "") -> str:
+    """Return why the last file was skipped, and how many more were; nothing if none was."""
+    if not skipped:
+        return ""
+    return opening + skipped[-1][1] + (f" (and {len(skipped) - 1} more)" if len(skipped) > 1 else "")
+
+
+def _frames_by_cycle(folder: pathlib.Path, skipped: list[Skipped]) -> dict[int, int]:
+    """Return the number of the frame at the end of each cycle; ``skipped`` is told of those that cannot be used."""
     found = {}
     for number in runs.list_frames(folder):
+        path = folder / layout.FRAMES / layout.frame_name(number)
         try:
-            meta = runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(number))
-        except F2SError:
+            meta = runs.read_frame_meta(path)
+        except F2SError as error:
+            skipped.append((number + 1, str(error)))
             continue
-        ends = meta.provenance.get("ends_cycle", True)  # (the others come by output.frame_interval)
-        if ends and set(FRAME_FIELDS) <= set(meta.locations) and meta.provenance.get("scene"):
-            found[int(meta.provenance.get("cycle", 0))] = number
+        if not meta.provenance.get("ends_cycle", True):  # (these come by output.frame_interval)
+            continue
+        cycle = int(meta.provenance.get("cycle", 0))
+        lacking = [name for name in FRAME_FIELDS if name not in meta.locations]
+        if lacking or not meta.provenance.get("scene"):
+            wanted = f"; a frame to be measured needs output.fields = {list(FRAME_FIELDS)}" if lacking else ""
+            skipped.append((cycle, f"{path}: lacks {', '.join(lacking) or 'its scene'}{wanted}"))
+        else:
+            found[cycle] = number
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 import pathlib
@@ -10,8 +11,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from f2s_hpc import places
 from f2s_hpc.analysis.profile import Profile
-from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.errors import InputError
 
 UNITS = {"mm": 1e-3, "um": 1e-6}
 _HEADER = 'the first line must be "x_mm,height_mm" or "x_um,height_um"'
@@ -55,11 +57,9 @@ def _number(row: Sequence[str], column: int, header: Sequence[str], path: pathli
 
 
 def write_columns(path: pathlib.Path, columns: Mapping[str, Sequence]) -> None:
-    """Write a CSV file with one named column per entry. Raises ``F2SError`` when it cannot be written."""
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
-    except OSError as error:
-        raise F2SError(f"{path}: cannot be written ({error.strerror})") from None
+    """Write a CSV file with one named column per entry. Raises ``InputError`` when it cannot be written."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    places.write_text(path, text.getvalue(), newline="")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -109,10 +110,20 @@ def _cycle_row(m: Measurements) -> dict[str, str]:
     return next((row for row in rows if row.get("cycle") == str(m.deposit.cycle)), {})
 
 
+def _number(value: object) -> float | None:
+    """Return an entry of a run's summary or table as a number; None where it is missing or none, in damaged files."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
 def energy_table(runs: Runs) -> Table:
     """Return the energy ledger at the end of the cycle, in uJ and in percent of what the particles brought in."""
-    ledgers = [{name: float(row[f"energy_{name}_J"]) for name in ENERGY_NAMES if row.get(f"energy_{name}_J")}
-               for row in (_cycle_row(m) for _, m in runs)]
+    known = [{name: _number(row.get(f"energy_{name}_J")) for name in ENERGY_NAMES}
+             for row in (_cycle_row(m) for _, m in runs)]
+    ledgers = [{name: value for name, value in row.items() if value is not None} for row in known]
     head = [""]
     for label, _ in runs:
         head += [f"{label + ' ' if label else ''}(µJ)", f"{label + ' ' if label else ''}(%)"]
@@ -140,7 +151,10 @@ def cost_table(runs: Runs) -> Table:
     rows = {id(m): {**summary(m), **_cycle_row(m)} for _, m in runs}
 
     def entry(key: str, form: Callable[[float], str]) -> Callable[[Measurements], str]:
-        return lambda m: form(float(rows[id(m)][key])) if rows[id(m)].get(key) not in (None, "") else "-"
+        def text(m: Measurements) -> str:
+            value = _number(rows[id(m)].get(key))
+            return "-" if value is None else form(value)
+        return text
 
     table = _rows(runs, (
         ("wall time", entry("wall_s", lambda v: f"{v / 60:.1f} min" if v >= 60 else f"{v:.1f} s")),

@@ -18,6 +18,9 @@ from f2s_hpc.report.traced import TracedParticles, trace
 PAPER_HEIGHT = {"recurring": 363e-6, "standard": 362e-6}
 """Height of the deposit of section 4 (m), both schemes: Ge et al. 2026, section 4 and Fig. 7."""
 
+MOST_SECTIONS = 100_000
+"""More than a box has cells along an axis: further ones would be the same again."""
+
 _PAPER_PATCH, _PAPER_PARTICLES, _PAPER_SPEED = 0.35e-3, 5000, 615.0
 
 
@@ -107,14 +110,18 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
     ``experiment``: a measured profile for the overlapping ratio. Raises ``InputError`` for settings that fit no
     deposit.
     """
-    if settings.sections < 1 or settings.smallest_pore < 1:
-        raise InputError("analyse: the numbers of sections and of pixels of the smallest pore must be at least 1")
+    if not 1 <= settings.sections <= MOST_SECTIONS:
+        raise InputError(f"--sections {settings.sections}: it must be at least 1 and at most {MOST_SECTIONS:,}")
+    if settings.smallest_pore < 1:
+        raise InputError(f"--smallest-pore {settings.smallest_pore}: it must be at least 1")
     dense = dense_height(deposit.fraction, deposit.dx, deposit.ground)
     whole = profile.mean_profile(deposit.surface, deposit.dx, deposit.ground, settings.along)
     if settings.symmetric:
         whole = profile.mirrored(whole)
     section = choose_section(deposit.fraction, deposit.surface, deposit.dx, deposit.ground)
     notes: list[str] = []
+    if deposit.skipped:
+        notes.append(f"skipped: {deposit.skipped}")
     if deposit.detached > deposit.dx**3:
         notes.append(f"heights: {1e18 * deposit.detached:.3g} µm³ of slow fragments hang in the air, not "
                      "attached to the deposit; they are no part of its surface (the run's cycle table counts them)")
@@ -174,9 +181,9 @@ def _porosity(deposit: Deposit, settings: Settings, notes: list[str]) -> Porosit
     zone = settings.surface_zone
     if zone is None:
         zone = max(0.5 * median_diameter(deposit), 2.0 * deposit.dx)
-    top = porosity.bulk_top(deposit.surface, deposit.dx, zone)
-    share = porosity.bulk_share(deposit.fraction.shape, deposit.dx, deposit.ground, top)
     try:
+        top = porosity.bulk_top(deposit.surface, deposit.dx, zone, deposit.ground)
+        share = porosity.bulk_share(deposit.fraction.shape, deposit.dx, deposit.ground, top)
         exact = porosity.exact_porosity(deposit.fraction, share)
         image = porosity.section_porosity(deposit.fraction, share, settings.sections, settings.smallest_pore)
         pores = porosity.split_pores(deposit.fraction, share, deposit.surface, deposit.dx)
@@ -197,7 +204,7 @@ def section_planes(deposit: Deposit) -> list[tuple[int, int]]:
     planes = []
     for axis in (1, 2):
         n = deposit.fraction.shape[axis]
-        number = max(1, int(n * deposit.dx / median_diameter(deposit)))
+        number = max(1, int(min(n, n * deposit.dx / median_diameter(deposit))))
         planes += [(axis, int((place + 0.5) * n / number)) for place in range(number)]
     return planes
 

@@ -116,7 +116,8 @@ def _resolutions(text: str) -> tuple[float, ...]:
         levels = tuple(float(part) for part in text.split(","))
     except ValueError:
         levels = ()
-    if not levels or min(levels) <= 0.0 or any(b <= a for a, b in itertools.pairwise(levels)):
+    positive = all(0.0 < level < math.inf for level in levels)  # (NaN is neither above nor below)
+    if not levels or not positive or any(b <= a for a, b in itertools.pairwise(levels)):
         raise InputError(f'--set resolutions={text}: write rising numbers with commas, for example "8,12,16"')
     return levels
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import pathlib
 from collections.abc import Sequence
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.verify import extreme, fuzz, levers, watch
 
 QUICK_FUZZ, FULL_FUZZ = 8, 300
@@ -20,11 +19,16 @@ def _say(text: str) -> None:
 
 
 def _write(json_file: str | os.PathLike | None, rows: Sequence) -> None:
-    """Write rows of a dataclass as a JSON list; rank 0 only."""
-    if json_file is not None and mpi.is_root():
+    """Write rows of a dataclass as a JSON list. Collective; raises ``InputError`` on all ranks."""
+    if json_file is not None:
         text = json.dumps([dataclasses.asdict(row) for row in rows], indent=2)
-        pathlib.Path(json_file).write_text(text + "\n", encoding="utf-8")
-    mpi.barrier()
+        mpi.run_together(places.write_text, json_file, text + "\n")
+
+
+def _test_place(json_file: str | os.PathLike | None) -> None:
+    """Raise ``InputError`` on all ranks now for a place that could not be written after an hour. Collective."""
+    if json_file is not None:
+        mpi.run_together(places.check_file, json_file, "--json")
 
 
 def stability(full: bool, overrides: Sequence[str], scenes: int | None, seed: int,
@@ -34,6 +38,7 @@ def stability(full: bool, overrides: Sequence[str], scenes: int | None, seed: in
     ``overrides``: "numerics.KEY=value" for every scene; ``scenes``: number of random scenes (default 300 at full
     size, 8 otherwise); ``json_file``: where the outcomes go as well. Collective.
     """
+    _test_place(json_file)
     outcomes = extreme.run(full, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
     count = (FULL_FUZZ if full else QUICK_FUZZ) if scenes is None else scenes
     outcomes += fuzz.run(count, seed, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
@@ -44,6 +49,7 @@ def stability(full: bool, overrides: Sequence[str], scenes: int | None, seed: in
 
 def savings(full: bool, overrides: Sequence[str], json_file: str | os.PathLike | None) -> int:
     """Print what each lever saves and what it changes against the full computation; return 0. Collective."""
+    _test_place(json_file)
     rows = levers.run(full, overrides)
     _say(levers.table(rows))
     _write(json_file, rows)

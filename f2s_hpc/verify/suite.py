@@ -11,11 +11,11 @@ import pathlib
 from collections.abc import Sequence
 from typing import Any
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.analysis.verification import case_table, overview_table
 from f2s_hpc.analysis.work_precision import draw_case, draw_overview
 from f2s_hpc.config.messages import did_you_mean
-from f2s_hpc.errors import F2SError, InputError, UnstableStep
+from f2s_hpc.errors import InputError, UnstableStep
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Row, judged
 from f2s_hpc.verify.registry import find
@@ -118,6 +118,8 @@ def _prepare(folder: pathlib.Path, json_file: str | os.PathLike | None) -> None:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{path}: no folder can be made there ({error.strerror or error})") from None
+    if json_file is not None:
+        places.check_file(json_file, "--json")
 
 
 def _write_case(folder: pathlib.Path, case: Case, rows: list[dict[str, Any]]) -> None:
@@ -125,20 +127,13 @@ def _write_case(folder: pathlib.Path, case: Case, rows: list[dict[str, Any]]) ->
     writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    _write(folder / f"{case.name}.csv", text.getvalue())
+    places.write_text(folder / f"{case.name}.csv", text.getvalue())
     _write_json(folder / f"{case.name}.json", rows)
     draw_case(rows, folder / f"{case.name}.png", case.name, case.text.splitlines()[0])
 
 
 def _write_json(path: pathlib.Path, rows: list[dict[str, Any]]) -> None:
-    _write(path, json.dumps([_finite(row) for row in rows], indent=1, allow_nan=False) + "\n")
-
-
-def _write(path: pathlib.Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise F2SError(f"{path}: cannot be written ({error.strerror or error})") from None
+    places.write_text(path, json.dumps([_finite(row) for row in rows], indent=1, allow_nan=False) + "\n")
 
 
 def _say(text: str) -> None:
