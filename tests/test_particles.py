@@ -43,12 +43,14 @@ def scene(**changes) -> SimpleNamespace:
     batches = {"count": changes.pop("batch_count", 2), "particles": 40, "files": [], "spheres": [], "seed": 7,
                "gap_factor": 1.02, "attempts": 2000, "shuffle": True, "diameter_d10": 19 * UM, "diameter_d50": 30 * UM,
                "diameter_d90": 52 * UM, "diameter_min": 10 * UM, "diameter_max": 85 * UM, "distribution": "uniform"}
-    domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "particle_layer_height": 0.2 * MM}
+    domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "substrate_height": 0.1 * MM,
+              "particle_layer_height": 0.2 * MM}
+    particles = {"speed_curvature": 0.0, "velocity": (0.0, 0.0, -600.0)}
     cycles, scheme = {"count": changes.pop("cycle_count", 5)}, changes.pop("scheme", "recurring")
     for name, value in changes.items():
         (domain if name in domain else batches)[name] = value
     return SimpleNamespace(scheme=scheme, batches=SimpleNamespace(**batches), domain=SimpleNamespace(**domain),
-                           cycles=SimpleNamespace(**cycles), particles=SimpleNamespace(speed_curvature=0.0))
+                           cycles=SimpleNamespace(**cycles), particles=SimpleNamespace(**particles))
 
 
 def paper_file(name: str) -> Path:
