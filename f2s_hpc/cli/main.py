@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
 import pathlib
 import signal
 import sys
@@ -224,7 +223,8 @@ def _told(error: F2SError) -> int:
 
 def _left_alone() -> int:
     """Print no more, as what reads the output (head, less) has ended; return the exit code that shells give for it."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    from f2s_hpc.cycles.progress import silence
+    silence()
     return 128 + signal.SIGPIPE
 
 
