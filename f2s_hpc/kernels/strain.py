@@ -173,14 +173,13 @@ def _elastic_chunk(mass, fraction, energy, stores, bulk, eos, s):
         x, before, after = mass[i], fraction[i], s[AFTER * W + i]
         some = max(x, 1e-300)
         jacobian, volume = s[VOLUME * W + i], s[VOLUME_BEFORE * W + i]
-        old = before * volume * s[SHAPE_BEFORE * W + i] * inverse + (
-            some * stored_energy(eos, some / volume) if before >= 1.0 else 0.0)
+        stored = some * stored_energy(eos, some / volume) if before >= 1.0 else 0.0
+        old = before * volume * s[SHAPE_BEFORE * W + i] * inverse + stored
         new = after * jacobian * s[SHAPE_AFTER * W + i] * inverse + (
             some * stored_energy(eos, some / jacobian) if after >= 1.0 else 0.0)
         # a cell that spalls was strained at its old pressure over the first half; what it stored the closure takes
         given = 0.5 * pressure(eos, some / volume, energy[i]) * (jacobian - volume)
-        taken = some * stored_energy(eos, some / volume) - given
-        new += taken if (before >= 1.0) & (after < 1.0) & (stores > 0.0) else 0.0
+        new += stored - given if (before >= 1.0) & (after < 1.0) & (stores > 0.0) else 0.0
         s[ELASTIC_BEFORE * W + i] = old if x > 0.0 else 0.0
         s[ELASTIC_AFTER * W + i] = new if x > 0.0 else 0.0
     for i in range(mass.size):
