@@ -16,7 +16,8 @@ class Field:
     """One scalar array.
 
     ``mirror_sign`` holds, per axis (x, y, z), the sign that a component takes in the mirror image
-    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal).
+    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal). ``tag``: it tells
+    two kinds of material apart, 0 or 1 but for the cells that an interface cuts, and is kept as sharp as that.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Field:
     saved: bool = False
     shown: bool = False
     mirror_sign: tuple[int, int, int] = (1, 1, 1)
+    tag: bool = False
 
 
 def _stress(component: str, sign: tuple[int, int, int]) -> Field:
@@ -62,7 +64,7 @@ FIELDS: tuple[Field, ...] = (
     Field("internal_energy", CELL, "J/kg", "specific internal energy (Mie-Grueneisen pressure only)",
           advected=True, ghosted=True, saved=True),
     Field("particle_fraction", CELL, "1", "share of the cell's mass that came with the particles (output.origin only)",
-          advected=True, ghosted=True, saved=True, shown=True),
+          advected=True, ghosted=True, saved=True, shown=True, tag=True),
     Field("lent_mass", CELL, "1", "mass (in full cells) that the cell has lent to what lies behind absorbing sides",
           ghosted=True, saved=True),
     _velocity("x", (-1, 1, 1)),

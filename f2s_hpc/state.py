@@ -41,6 +41,8 @@ class State:
         names = set(self.views)
         self.moving_cells = tuple(f.name for f in self.fields if f.advected and f.location == fields.CELL)
         self.carried_cells = tuple(n for n in self.moving_cells if n not in ("mass", "volume_fraction"))
+        self.tags = tuple(f.name for f in self.fields if f.tag)
+        self.swept_cells = tuple(n for n in self.carried_cells if n not in self.tags)
         self.strained_cells = ("volume_fraction", *(n for n in self.carried_cells if n in (*fields.STRESS,
                                                                                           "internal_energy")))
         self.saved = tuple(f.name for f in self.fields if f.saved)

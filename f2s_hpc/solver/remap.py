@@ -6,7 +6,7 @@ import numpy as np
 
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import SIDES
-from f2s_hpc.kernels import flux, momentum, remap, seal
+from f2s_hpc.kernels import flux, momentum, remap, seal, tag
 from f2s_hpc.solver import absorbing, walls
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -138,10 +138,26 @@ def _sweep_cells(state: State, model: Model, axis: int, done: int) -> None:
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     ny, nx = shape
-    _sweep_fields(state, model, axis, state.cell_window(), (nx * ny, nx), state.offsets(state.carried_cells),
+    for name in state.tags:
+        _sweep_tag(state, axis, name)
+    _sweep_fields(state, model, axis, state.cell_window(), (nx * ny, nx), state.offsets(state.swept_cells),
                   state.flat["mass"], state.flat["mass_flux"], None)
     remap.sweep_mass(runs, count, state.cell_window(), shape, axis, done, *state.sweep, state.flat[VOLUME_FLUX],
                      state.flat["mass_flux"], state.flat["mass"], state.flat["volume_fraction"])
+
+
+def _sweep_tag(state: State, axis: int, name: str) -> None:
+    """Move a tag along ``axis``; its planes need ghosts on all sides, where slopes need them along the axis alone."""
+    state.exchange((name,), LAYERS_OF_CELLS)
+    runs, count = state.runs
+    shape = state.part.cell_shape[1:]
+    around = [0, 0, 0]
+    around[axis] = 1
+    # (the dual fluxes are those of the nodes, which have moved)
+    moved, tagged, mass = state.flat["mass_flux"], state.flat["dual_flux"], state.flat["mass"]
+    tag.tag_fluxes(runs, count, state.cell_window(tuple(around), tuple(around)), shape, axis, moved, mass,
+                   state.flat[name], tagged)
+    tag.sweep_tag(runs, count, state.cell_window(), shape, axis, moved, tagged, mass, state.flat[name])
 
 
 def _sweep_fields(state: State, model: Model, axis: int, window: tuple[int, ...], strides: tuple[int, int],

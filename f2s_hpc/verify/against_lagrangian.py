@@ -17,14 +17,12 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.verify import lagrangian
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.impact import JOHNSON_COOK, impact_of, settings_of
+from f2s_hpc.verify.impact import ADIABATIC, JOHNSON_COOK, impact_of, settings_of
 from f2s_hpc.verify.lagrangian import Solution
 from f2s_hpc.verify.splat import Impact, Splat, splat
 
 MESHES = {False: (20.0, 28.0), True: (24.0, 36.0)}
 """Cells per diameter of the Lagrangian meshes, by full size; the finer one is the reference."""
-
-_ADIABATIC = "numerics.conduction=false"
 
 BARS = ((24.0, {"height / D": 0.015, "width / D": 0.01, "crater depth / D": 0.03, "mean PEEQ": 0.03}),
         (12.0, {"height / D": 0.03, "width / D": 0.015, "crater depth / D": 0.08, "mean PEEQ": 0.06}))
@@ -71,7 +69,7 @@ def run(options: Options) -> Iterator[Measured]:
     yield Measured("energy that the Lagrangian solution leaves unexplained", value=unexplained, reference=0.0,
                    error=abs(unexplained), bar=ENERGY_BAR, **cost)
     for level in options.levels:
-        result = splat(impact, level, (_ADIABATIC, *options.numerics))
+        result = splat(impact, level, (ADIABATIC, *options.numerics))
         bars = next((bars for least, bars in BARS if level >= least), {})
         for name, value in _numbers(impact, result).items():
             yield Measured(name, level, result.dx, value, wanted[name], abs(value / wanted[name] - 1.0),

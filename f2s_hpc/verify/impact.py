@@ -4,6 +4,13 @@ Reference of the Johnson-Cook series: Abaqus/Explicit, coupled Eulerian-Lagrangi
 cells per diameter, 80 ns (surrogate data set of Virtual-Twin-Cold-Spray; not validated by experiment). Its substrate is
 15 D wide and deep; ours is 4 D wide and 3 D deep. Measured at 520 m/s and 8 cells per diameter, twice that size changes
 flattening by 1.0 %, crater depth by 0.8 % and PEEQ p95 by 1.1 %: less than the bars and the step to the next mesh.
+
+Its PEEQ is the output variable PEEQVAVG, an average over the cell, and its percentiles are weighted by volume fraction
+over the cells at least 1 % full (its results file says both). In a cell that the surface cuts void counts as zero in
+that average: the same file has PEEQVAVG lower and temperature, which is not averaged, higher when all cells count the
+same instead, and its hottest cell has some 10 % more plastic work than its largest PEEQVAVG. So ours is measured alike.
+That series does not say whether heat was conducted. Its temperatures say no: at 300 m/s the 95th percentile rises by
+113 K there, by 119 K in an adiabatic Lagrangian solution, by 136 K here if adiabatic and by 68 K with conduction.
 """
 
 from __future__ import annotations
@@ -19,15 +26,17 @@ from f2s_hpc.solver.ledger import ENERGY_TERMS
 from f2s_hpc.verify.case import Case, Measured, Options
 from f2s_hpc.verify.splat import Impact, Splat, splat
 
-# speed (m/s): flattening, crater depth / D, particle PEEQ p95
+# speed (m/s): flattening, crater depth / D, particle PEEQ p95, particle temperature p95 (K)
 PUBLISHED = {
-    300.0: (0.3098, 0.177, 0.956), 410.0: (0.3773, 0.282, 1.273), 520.0: (0.4210, 0.395, 1.570),
-    630.0: (0.3859, 0.510, 1.804), 740.0: (0.2961, 0.629, 1.971), 850.0: (0.2201, 0.750, 2.140),
+    300.0: (0.3098, 0.177, 0.956, 410.8), 410.0: (0.3773, 0.282, 1.273, 468.1), 520.0: (0.4210, 0.395, 1.570, 512.8),
+    630.0: (0.3859, 0.510, 1.804, 549.2), 740.0: (0.2961, 0.629, 1.971, 572.4), 850.0: (0.2201, 0.750, 2.140, 596.2),
 }
 PUBLISHED_CELLS = 24.0  # per diameter
 ROOM = 298.15
 JOHNSON_COOK = Impact("copper-johnson-cook", 25e-6, 520.0, ROOM, 80e-9)
 GE = Impact("copper-ge", 30e-6, 615.0, 723.15, 80e-9)
+
+ADIABATIC = "numerics.conduction=false"
 
 NUMERICAL_TERMS = ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic")
 """Energy terms that no physical process takes; the work of the shock viscosity joins them where it is not heated."""
@@ -68,16 +77,24 @@ def _speeds(options: Options) -> list[float]:
 
 
 def run_published(options: Options) -> Iterator[Measured]:
-    """Yield flattening, crater depth / D and particle PEEQ p95 at each published speed."""
+    """Yield flattening, crater depth / D and particle PEEQ p95 at each published speed; temperature has no bar."""
     for speed in _speeds(options):
+        flattening, crater, peeq, temperature = PUBLISHED[speed]
         for level in options.levels:
-            result = splat(impact_of(options, speed=speed), level, options.numerics)
-            found = (result.flattening(PUBLISHED_CELLS), result.crater / options["diameter"], result.peeq_p95)
-            for name, value, reference in zip(("flattening", "crater depth / D", "PEEQ p95"), found, PUBLISHED[speed]):
-                # the bar is for the published resolution; what is coarser shows the way there
-                bar = 0.06 if level >= PUBLISHED_CELLS else None
+            impact = impact_of(options, speed=speed)
+            result = splat(impact, level, (ADIABATIC, *options.numerics))
+            # the bar is for the published resolution; what is coarser shows the way there
+            bar = 0.06 if level >= PUBLISHED_CELLS else None
+            for name, value, reference in (("flattening", result.flattening(PUBLISHED_CELLS), flattening),
+                                           ("crater depth / D", result.crater / options["diameter"], crater),
+                                           ("PEEQ p95", result.peeqvavg_p95, peeq)):
                 yield Measured(f"{name}, {speed:g} m/s", level, result.dx, value, reference,
                                abs(value / reference - 1.0), bar, **result.cost)
+            rise, published = result.temperature_p95 - impact.temperature, temperature - ROOM
+            yield Measured(f"temperature rise p95, {speed:g} m/s", level, result.dx, rise, published,
+                           abs(rise / published - 1.0), compares=False, **result.cost)
+            yield Measured(f"PEEQ p95 of the material, {speed:g} m/s", level, result.dx, result.peeq_p95, None, 0.0,
+                           compares=False, **result.cost)
 
 
 # --- convergence ------------------------------------------------------------------------------------------------
@@ -237,8 +254,8 @@ _SERIES_UNITS = {name: unit for name, unit in _UNITS.items() if name != "speed"}
 CASES = (
     Case("impact-jc",
          "25 um copper sphere on copper, Johnson-Cook, 80 ns, at the published speeds (--set speeds=300,520): "
-         "flattening (second-moment height), crater depth / D on the axis, PEEQ p95 of the particle, against Abaqus "
-         "CEL with 24 cells per diameter.",
+         "flattening (second-moment height), crater depth / D on the axis and 95th percentile of PEEQ (averaged over "
+         "cells, as there), against Abaqus CEL with 24 cells per diameter; adiabatic.",
          run_published, (8.0, 12.0), (12.0, 18.0, 24.0), _SERIES, _SERIES_UNITS),
     Case("impact-ge",
          "30 um copper sphere at 615 m/s and 450 degC on copper, Ge model: width and height (second moments) and PEEQ "
