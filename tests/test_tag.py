@@ -69,7 +69,7 @@ def test_a_tag_stays_sharp(normal):
 def test_a_tag_keeps_its_bounds_where_flows_part(axis, rng):
     """Cells of any mass and tag, any part of which leaves through both faces: tags stay in 0..1, their sum is kept.
 
-    The first layer of a closed box. Fails when what has left through the low face is not taken off what may leave
+    Fails when what has left through the low face is not taken off what may leave
     through the high one (``kept -= leaves``).
     """
     n = 12

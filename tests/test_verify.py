@@ -294,6 +294,7 @@ def test_curves_need_work_and_errors():
     assert curves([row(), row(resolution=16.0)]) == {}
     assert curves([row(compares=False), row(compares=False, wall_s=3.0)]) == {}
     assert curves([row(error=math.inf), fine]) == {}
+    assert curves([row(error=1e-16), fine]) == {}
 
 
 def test_a_bar_is_a_line_only_where_it_holds_for_all():

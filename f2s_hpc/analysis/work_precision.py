@@ -16,15 +16,20 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 _MOST_CURVES = len(_COLOURS)
 _COLUMNS = 3
+_ROUND_OFF = 1e-14
+"""An error this small is round-off; drawn, it would press all others of its plot together."""
 
 Rows = Sequence[Mapping[str, Any]]
 
 
 def curves(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
-    """Return, per quantity that compares, its rows with positive finite error, if two or more and finer took longer."""
+    """Return, per quantity that compares, its rows with finite errors that say something, if finer took longer.
+
+    Those that say something lie above round-off; it takes two.
+    """
     found: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
-        if row["compares"] and 0.0 < row["error"] < math.inf and row["wall_s"] > 0.0:
+        if row["compares"] and _ROUND_OFF < row["error"] < math.inf and row["wall_s"] > 0.0:
             found.setdefault(row["quantity"], []).append(row)
     return {quantity: points for quantity, points in found.items()
             if len(points) > 1 and points[-1]["wall_s"] > 1.2 * points[0]["wall_s"]}

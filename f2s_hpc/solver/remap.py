@@ -39,7 +39,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     order = sweep_order(number)
     state.exchange(("volume_fraction",))
     absorbing.lend_mass(state, model, ledger)
-    state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[0])
+    state.exchange(state.swept_cells, LAYERS_OF_CELLS, order[0])
     state.exchange(VELOCITY, LAYERS_OF_NODES, order[0])
     for position, axis in enumerate(order):
         _fluxes(state, model, axis, done, ledger)
@@ -56,7 +56,7 @@ def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
         state.exchange(("mass", "volume_fraction"))
         walls.hold(state, model, ledger, "lost")
         if position < 2:
-            state.exchange(state.carried_cells, LAYERS_OF_CELLS, order[position + 1])
+            state.exchange(state.swept_cells, LAYERS_OF_CELLS, order[position + 1])
             state.exchange(VELOCITY, LAYERS_OF_NODES, order[position + 1])
         else:
             state.exchange(state.carried_cells, layers=1)

@@ -20,9 +20,6 @@ ROOM = 298.15
 TALLEST_VOID, FEWEST = 0.005, 16.0
 """Bar of this project for two blocks: void or misplaced height over height, with at least so many cells a block."""
 
-ROUND_OFF = 1e-13
-"""A share of the height this small is the sums', not void."""
-
 STRAIN_OF_CONTACT = 0.05
 """Likewise for the plastic strain that closing the last gap leaves, times cells: bodies that meet do not deform yet."""
 
@@ -101,7 +98,6 @@ def run_blocks(options: Options) -> Iterator[Measured]:
         surface, fraction, mass = _heights(setup)
         cost, bar = _cost(setup, watch), TALLEST_VOID if level >= FEWEST else None
         void = (surface - fraction) / (2.0 * level)
-        void = void if abs(void) > ROUND_OFF else 0.0
         yield Measured("void left / height", level, dx, void, 0.0, abs(void), bar, **cost)
         extra = _strain_of_contact(setup, level)
         yield Measured("PEEQ of the contact, cells", level, dx, extra, 0.0, abs(extra),
