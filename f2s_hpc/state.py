@@ -150,6 +150,7 @@ class State:
             look = self.active if look is None else look
             activity.mark_material(self.flat["mass"], (nz, ny, nx), GHOST, look, self._holds)
             activity.grow_active(self._holds, self.active)
+            self.boundary.activate(self.active)
             activity.retire(self._previous, self.active, (ny, nx), self.pool.memory, self.cell_offsets,
                             self.node_offsets)
         else:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from solver_setup import ALL_SYMMETRY, cell_coordinates, make_block, make_model, make_setup
 
-from f2s_hpc.solver.heat import conduct, diffusivity
+from f2s_hpc.solver.heat import conduct, conduct_asleep, diffusivity
 
 DX = 3e-6
 MODEL = make_model(DX)
@@ -117,3 +117,26 @@ def test_long_steps_are_cut_into_stable_ones():
         fields.append(setup.state.owned("temperature").copy())
     assert fields[0] == pytest.approx(fields[1], rel=1e-13)
     assert np.ptp(fields[0]) < 150.0
+
+
+@pytest.mark.parametrize("sleeping", [False, True])
+def test_heat_takes_its_thermal_pressure_along(sleeping):
+    """Mie-Grueneisen pressure follows the internal energy: what is conducted moves there, too, also in what sleeps.
+
+    Fails when ``add_heat`` leaves ``energy`` alone.
+    """
+    model = make_model(DX, "copper-piston", overrides=["material.conductivity=385 W/m/K"])
+    setup = make_block((4, 5, 8), model)
+    state, specific_heat = setup.state, model.bulk.specific_heat
+    state.owned("temperature")[:4] += 100.0
+    state.owned("internal_energy")[:4] = 100.0 * specific_heat
+    state.settle()
+    if sleeping:
+        state.set_floor(6)
+    before = state.owned("temperature").copy()
+    dt = DX**2 / diffusivity(model)
+    (conduct_asleep if sleeping else conduct)(state, model, dt)
+    gained = state.owned("temperature") - before
+    assert gained[3].max() < -10.0
+    expected = np.where(before > before.min(), 100.0, 0.0) + gained
+    assert state.owned("internal_energy") / specific_heat == pytest.approx(expected, abs=1e-9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from solver_setup import make_model, make_setup
+from solver_setup import ALL_SYMMETRY, make_model, make_setup
 
 from f2s_hpc import mpi
 from f2s_hpc.cycles import insert
@@ -56,15 +56,17 @@ def test_a_sphere_is_painted_when_the_surface_is_within_reach_and_not_before(set
 
 
 @pytest.mark.parametrize("own", [None, [(0.0, 0.0, -600.0), (9.0, 0.0, -590.0)]])
-@pytest.mark.parametrize("z", [(19e-6, 70e-6), (60e-6, 75e-6), (95e-6, 112e-6)])
-def test_painting_looks_at_the_planes_of_the_spheres_only_and_gives_the_same_bits(z, own):
+@pytest.mark.parametrize(("z", "substrate"), [((19e-6, 70e-6), 3), ((60e-6, 75e-6), 3), ((95e-6, 112e-6), 3),
+                                              ((9.5e-6, 70e-6), 0), ((60e-6, 112.5e-6), 0)])
+def test_painting_looks_at_the_planes_of_the_spheres_only_and_gives_the_same_bits(z, substrate, own):
     """At the bottom, in the middle and at the top; every ghost that a step reads too: ten steps follow.
 
-    Fails if ``paint_arrivals`` leaves out a plane (``np.floor`` for ``np.ceil``).
+    Fails if ``paint_arrivals`` leaves out a plane (``np.floor`` for ``np.ceil``), or the ghosts below and above the box
+    (without ``if low < high``): nodes on the mirrors there get twice the momentum.
     """
     found = []
     for paint in (paint_arrivals, insert.paint_batch):
-        setup = make_setup(CELLS, make_model(DX), substrate=3)
+        setup = make_setup(CELLS, make_model(DX), substrate=substrate, sides=ALL_SYMMETRY)
         batch = spheres((2e-6, 30e-6, z[0], 9e-6), (50e-6, 57e-6, z[1], 7e-6), velocity=own)
         if paint is paint_arrivals:
             paint(setup.state, setup.model, (batch, DOWN), 700.0, setup.ledger)

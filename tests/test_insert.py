@@ -10,7 +10,7 @@ from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
-from f2s_hpc.cycles.insert import OVERFILL, InsertReport, paint_batch, paint_substrate
+from f2s_hpc.cycles.insert import OVERFILL, InsertReport, mass_quanta, paint_batch, paint_substrate
 from f2s_hpc.fields import BY_NAME, NODE, STRESS, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import paint, remap
@@ -303,3 +303,11 @@ def test_the_exact_sum_of_mass_is_the_same_on_any_rank(setup):
     whole = setup.whole("mass")
     assert quanta == int(np.floor(whole / setup.model.mass_quantum).astype(np.int64).sum())
     assert mpi.all_gather(quanta) == [quanta] * mpi.size()
+
+
+def test_the_exact_sum_of_mass_holds_for_very_wide_planes(setup):
+    """725 x 725 full cells, over 2^63 quanta; fails when ``mass_quanta`` sums whole quanta: -522951 cells."""
+    quantum = setup.model.mass_quantum
+    assert mass_quanta(np.ones((1, 725, 725)), quantum) * quantum == 725**2
+    shares = np.linspace(0.0, 1.0, 120).reshape(3, 5, 8)
+    assert mass_quanta(shares, quantum) == sum(int(share / quantum) for share in shares.flat)

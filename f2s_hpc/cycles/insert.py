@@ -54,8 +54,15 @@ class InsertReport:
 
 
 def mass_quanta(array: np.ndarray, quantum: float) -> int:
-    """Return the exact sum of ``array`` in units of ``quantum`` on this rank, plane by plane."""
-    return sum(int(np.floor(plane / quantum).astype(np.int64).sum()) for plane in array)
+    """Return the exact sum of ``array`` in units of ``quantum`` on this rank, plane by plane.
+
+    High and low halves are summed apart: half a million full cells of one plane are 2^63 quanta.
+    """
+    total = 0
+    for plane in array:
+        quanta = np.floor(plane / quantum).astype(np.int64)
+        total += (int((quanta >> 32).sum()) << 32) + int((quanta & 0xFFFFFFFF).sum())
+    return total
 
 
 def paint_substrate(state: State, height: float, temperature: float) -> None:
@@ -181,7 +188,10 @@ def paint_arrivals(state: State, model: Model, arrived: tuple[Batch, tuple[float
     batch, velocity = arrived
     ends = np.array([np.floor((batch.z - batch.r).min() / state.part.box.dx),
                      np.ceil((batch.z + batch.r).max() / state.part.box.dx)]).astype(np.int64) - state.part.offset[2]
-    low, high = np.clip(ends, 0, state.part.cell_shape[0]).tolist()
+    top = state.part.cell_shape[0]
+    low, high = np.clip(ends, 0, top).tolist()
+    if low < high:  # beside a side its ghosts belong to it
+        low, high = 0 if low < 2 * GHOST else low, top if high > top - 2 * GHOST else high
     _add(state, model, batch, velocity, temperature, ledger, InsertReport(spheres=batch.count), slice(low, high))
 
 

@@ -63,7 +63,9 @@ class Supply:
         """Put the spheres that are about to meet something onto the grid; return them, None if there are none."""
         if self.flight is None:
             return None
-        return self._put_down(self.flight.arrivals(self.state, self.clock.time, self.clock.between_remaps))
+        settings = self.model.settings
+        longest = settings.steps_per_remap * settings.courant * self.model.dx / self.model.sound
+        return self._put_down(self.flight.arrivals(self.state, self.clock.time, self.clock.between_remaps or longest))
 
     def land_all(self) -> Batch | None:
         """Put down all spheres in flight that lie inside the box, where they are, as :meth:`land` does; for checks."""

@@ -80,6 +80,20 @@ class Boundary:
                 if axis in axes and rules != (NONE, NONE):
                     fill_ghosts(memory, starts, shape, axis, rules, walls, layers, on_nodes, signs[axis], active, BLOCK)
 
+    def activate(self, active: np.ndarray) -> None:
+        """Make ``active`` (uint8 [k, j, block]) behind mirroring sides what is active before them.
+
+        Ghosts are filled in active blocks only, and the growth of those before a side need not reach behind it.
+        """
+        for side in self.touched:
+            if _CELL_RULE[self.kinds[side]] == VOID:
+                continue
+            axis, wall, high = SIDES.index(side) // 2, self.wall_plane(side), side.endswith("high")
+            along, cells = np.moveaxis(active, 2 - axis, 0), BLOCK if axis == 0 else 1
+            for layer in range(GHOST):
+                before, behind = (wall - 1 - layer, wall + layer) if high else (wall + layer, wall - 1 - layer)
+                along[behind // cells] |= along[before // cells]
+
     def continue_outwards(self, memory: np.ndarray, offset: int, active: np.ndarray, outwards: bool) -> None:
         """Repeat the last layer of the cell field at ``offset`` behind open sides, or (not ``outwards``) put void back.
 

@@ -35,9 +35,13 @@ def heat_gained(runs, count, window, shape, number, floor, mass, temperature, ga
 
 
 @kernel
-def add_heat(runs, count, window, shape, gained, temperature):
-    """Add the temperature change of :func:`heat_gained` to the cells of ``window``."""
+def add_heat(runs, count, window, shape, gained, specific_heat, temperature, energy):
+    """Add the temperature change of :func:`heat_gained` to the cells of ``window``, and its heat to ``energy`` (J/kg).
+
+    ``energy``: specific internal energy, which the Mie-Grueneisen pressure follows; empty where there is none.
+    """
     ny, nx = shape
+    carried = energy.size > 1
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
@@ -45,5 +49,7 @@ def add_heat(runs, count, window, shape, gained, temperature):
         cell, out = (k * ny + j) * nx, (k * (ny + 1) + j) * (nx + 1)
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             temperature[cell + i] += gained[out + i]
+            if carried:
+                energy[cell + i] += specific_heat * gained[out + i]
 
 

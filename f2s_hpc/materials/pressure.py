@@ -67,9 +67,10 @@ def _grueneisen_unloaded(eos, energy):
 
 
 def unloaded(eos, energy):
-    """Return rho / rho_0 at zero pressure, within 1e-4: hot material has expanded where its heat makes pressure.
+    """Return rho / rho_0 at zero pressure: hot material has expanded where its heat makes pressure.
 
-    Mie-Grueneisen in tension: mu (1 - Gamma mu / 2x) + q = 0 with q = Gamma e / c^2, to third order in q.
+    Mie-Grueneisen in tension: mu (1 - Gamma mu / 2x) + q = 0 with q = Gamma e / c^2, to third order in q: for copper
+    within 1.3e-4 at an energy of c_p 1000 K, 1e-3 at c_p 2000 K.
     """
     return (_linear_unloaded if isinstance(eos, LinearPressure) else _grueneisen_unloaded)(eos, energy)
 

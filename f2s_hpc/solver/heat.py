@@ -31,11 +31,11 @@ def conduct(state: State, model: Model, dt: float, heated: bool = False) -> None
 
 
 def conduct_asleep(state: State, model: Model, dt: float) -> None:
-    """Conduct heat over ``dt`` in what sleeps, and through the floor; all ghosts of temperature are valid after."""
+    """Conduct heat over ``dt`` in what sleeps, and through the floor; all ghosts of what it changes are valid after."""
     k0, k1, *across = state.cell_window()
     end = min(k0 + 1, k1) if state.part.start[2] <= state.floor else k0
     _conduct(state, model, dt, state.all_runs, (GHOST, end, *across), (state.floor_plane, 1.0, 0.0))
-    state.exchange(("temperature",), asleep=True)
+    state.exchange(tuple(n for n in ("temperature", "internal_energy") if n in state.views), asleep=True)
 
 
 def _conduct(state: State, model: Model, dt: float, listed: tuple, window: tuple, floor: tuple) -> None:
@@ -47,6 +47,6 @@ def _conduct(state: State, model: Model, dt: float, listed: tuple, window: tuple
     for substep in range(substeps):
         conduction.heat_gained(runs, count, window, shape, number / substeps, floor, state.flat["mass"], temperature,
                                gained)
-        conduction.add_heat(runs, count, window, shape, gained, temperature)
+        conduction.add_heat(runs, count, window, shape, gained, model.bulk.specific_heat, temperature, state.energy)
         if substep + 1 < substeps:
             state.exchange(("temperature",), asleep=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from f2s_hpc.materials.params import Bulk
@@ -48,3 +49,8 @@ class Model(NamedTuple):
     def cell_mass(self) -> float:
         """Mass of a full cell at zero pressure (kg)."""
         return self.bulk.density * self.dx**3
+
+    @property
+    def sound(self) -> float:
+        """Speed of longitudinal waves in the material at rest (m/s)."""
+        return math.sqrt((self.bulk.bulk_modulus + 4.0 / 3.0 * self.bulk.shear_modulus) / self.bulk.density)

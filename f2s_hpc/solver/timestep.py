@@ -85,7 +85,8 @@ def choose(state: State, model: Model, limits: Limits, previous: float | None, r
            since: SinceRemap) -> StepSize:
     """Return the step that every rank takes.
 
-    sound: courant dx / c (Lagrangian limit; c includes the shock viscosity); motion: what is left of remap_courant dx
+    sound: courant dx / c (Lagrangian limit; c includes the shock viscosity, and is that of the material at rest while
+    the box is empty, so that what flies is looked at on its way); motion: what is left of remap_courant dx
     since the last remap, over |u|; strain: strain_per_step / |grad v| of the last step; growth: 1.2 times the last
     step. Raises ``UnstableStep`` on all ranks, naming the cell, when a rate is not finite.
     """
@@ -99,8 +100,9 @@ def choose(state: State, model: Model, limits: Limits, previous: float | None, r
         raise UnstableStep(f"the {name} is not finite at cell (i, j, k) = {cell}")
     wave, light, heavy, gradient = rates[:4]
     s = model.settings
+    wave = wave or model.sound
     speed = max(light, heavy)
-    sizes = [s.courant * model.dx / wave if wave > 0.0 else math.inf,
+    sizes = [s.courant * model.dx / wave,
              (s.remap_courant - since.moved) * model.dx / speed if speed > 0.0 else math.inf,
              s.strain_per_step / gradient if gradient > 0.0 else math.inf,
              1.2 * previous if previous else math.inf]
