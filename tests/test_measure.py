@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis.surface import attached_material
 from f2s_hpc.build import build_ledger, build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
@@ -166,6 +167,42 @@ def test_only_what_has_landed_above_the_substrate_counts(state, rng):
     assert abs(found["peeq_p50"] - p50) < 2.0 * bin_width + 1e-3
     assert abs(found["peeq_p95"] - p95) < 2.0 * bin_width + 1e-3
     assert abs(found["temperature_p50_degC"] - 100.0 * p50) < 0.3
+
+
+def test_landed_is_what_is_attached_also_where_it_rings(state, rng):
+    """An overhang, a slow fragment in the air, a surface that rings, a sphere that flies: as for the whole box at once.
+
+    Fails when the ring around a rank's cells is left empty (in ``_grounded_rings``), the lowest layer does not ground, or
+    ``LANDED`` is 0.1.
+    """
+    model = build_model(parse_scene(SCENE, "test"))
+    fraction = np.zeros(CELLS[::-1])
+    fraction[:8], fraction[8] = 1.0, 0.3
+    fraction[8:14, 3:5, 3:5], fraction[12:14, 3:11, 3:10] = 1.0, 1.0  # a mushroom over many ranks
+    fraction[14, 2:12, 2:11] = 0.2
+    fraction[17:19, 2:7, 2:9] = 1.0  # hangs in the air, slow
+    fraction[21:23] = 1.0  # flies
+    rings, flies = np.zeros(CELLS[::-1], dtype=bool), np.zeros(CELLS[::-1], dtype=bool)
+    rings[7, :, 6:], flies[21:] = True, True
+    speed = np.where(flies, 600.0, np.where(rings, 150.0, 0.0))
+    put(state, "volume_fraction", fraction)
+    put(state, "mass", fraction)
+    nodes = np.zeros(tuple(n + 1 for n in CELLS[::-1]))
+    nodes[:-1, :-1, :-1] = speed
+    nodes[-1], nodes[:, -1], nodes[:, :, -1] = nodes[-2], nodes[:, -2], nodes[:, :, -2]
+    put(state, "velocity_z", -nodes)
+    slow = measure.derived_field(state, model, "speed") < 200.0
+    whole = np.zeros(CELLS[::-1], dtype=bool)
+    for start, own in mpi.all_gather((state.part.start, slow)):
+        whole[tuple(slice(s, s + n) for s, n in zip(start[::-1], own.shape))] = own
+    wanted = attached_material(fraction, whole)
+    assert wanted[7].all()
+    assert wanted[13, 9, 8]
+    assert not wanted[17:].any()
+    found = measure.landed_cells(state, model, 600.0)
+    assert np.array_equal(found[state.part.owned_cells], mine(state, wanted))
+    heights = agreed(measure.measure_material(state, model, 17e-6, 600.0))
+    assert heights["height_max_m"] == pytest.approx(14.2 * DX - 17e-6, rel=1e-9)
 
 
 def test_heights_and_temperatures_have_their_percentiles(state, rng):

@@ -104,8 +104,8 @@ def test_the_slowest_particle_sets_what_flies():
         return Batch(*(np.ones(len(speeds)) for _ in range(4)), velocity)
 
     assert flight_speed([Batch(*(np.ones(1) for _ in range(4)))], 615.0) == 615.0
-    assert flight_speed([batch(615.0, 400.0)], 615.0) == 615.0
-    assert flight_speed([batch(615.0), batch(100.0, 0.0)], 615.0) == 200.0
+    assert flight_speed([batch(615.0, 500.0)], 615.0) == 615.0
+    assert flight_speed([batch(615.0), batch(100.0, 0.0)], 615.0) == pytest.approx(140.0)
 
 
 def test_a_run_that_does_not_fit_into_memory_leaves_nothing(tmp_path):

@@ -129,7 +129,7 @@ def test_a_checkpoint_is_read_as_the_run_saw_it(two_runs, cycle, monkeypatch):
         np.testing.assert_array_equal(array, frame[name], err_msg=name)
     deposit = load_deposit(two_runs[0], cycle)
     assert deposit.source.suffix == ".h5"
-    fraction, slow = frame["volume_fraction"], frame["speed"] < 61.5
+    fraction, slow = frame["volume_fraction"], frame["speed"] < 615.0 / 3.0
     assert deposit.landed.tolist() == attached_material(fraction, slow).tolist()
     detached = fraction[slow & ~deposit.landed].sum(dtype=float) * 6e-6**3
     assert deposit.detached == pytest.approx(detached, rel=1e-6, abs=0.0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from f2s_hpc.analysis.canvas import save
-from f2s_hpc.analysis.surface import HALF_FULL, surface_height
+from f2s_hpc.analysis.surface import HALF_FULL, attached_material, surface_height
 from f2s_hpc.errors import InputError
 
 NEEDED = ("volume_fraction", "peeq", "temperature", "speed")
@@ -75,11 +75,12 @@ def draw(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float, t
     Colours span the 1st to 99th percentile of the material shown.
 
     ``fields``: ``volume_fraction``, ``peeq``, ``temperature`` (K), ``speed`` (m/s), each (nz, ny, nx); ``dx``,
-    ``substrate_height`` in m; ``slow_speed`` (m/s): faster material is in flight and not part of the surface.
+    ``substrate_height`` in m; ``slow_speed`` (m/s): what is faster, or not attached, is no part of the surface.
     Raises ``InputError`` when a field is missing or of another shape, ``F2SError`` when the file cannot be written.
     """
     shape = _checked_shape(fields)
-    surface = surface_height(fields["volume_fraction"], fields["speed"], dx, slow_speed)
+    landed = attached_material(fields["volume_fraction"], fields["speed"] < slow_speed)
+    surface = surface_height(fields["volume_fraction"], np.where(landed, 0.0, 1.0), dx, 0.5)
     section = choose_section(fields["volume_fraction"], surface, dx, substrate_height)
     across = shape[1] if section.axis == "x" else shape[2]
     length, height = section.along.stop - section.along.start, section.up.stop - section.up.start

@@ -10,6 +10,7 @@ import time
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis.surface import HALF_FULL, LANDED, grounded_cells, with_skin
 from f2s_hpc.cycles.insert import kinetic_quanta, mass_quanta
 from f2s_hpc.fields import BY_NAME, CELL, STRESS
 from f2s_hpc.grid.box import GHOST
@@ -17,9 +18,6 @@ from f2s_hpc.kernels import derived
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
-
-SLOW = 0.1
-"""Material slower than this share of the particles' speed (``batch.flight_speed``) has landed."""
 
 _BINS = 8192
 _ZERO_CELSIUS = 273.15
@@ -79,6 +77,41 @@ def percentiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ..
     return found
 
 
+def landed_cells(state: State, model: Model, particle_speed: float) -> np.ndarray:
+    """Return which local cells have landed (bool, ghosts included; right on owned cells and one layer around).
+
+    Slower than ``LANDED`` times ``particle_speed`` (m/s) and attached to the bottom of the box, as in
+    :func:`f2s_hpc.analysis.surface.attached_material`. What hangs together is found on rank 0, from a bit per cell.
+    """
+    part = state.part
+    slow = _derived_with_ghosts(state, model, "speed") < LANDED * particle_speed
+    solid = slow & (state.views["volume_fraction"] >= HALF_FULL)
+    pieces = mpi.all_gather((part.start, part.count, np.packbits(solid[part.owned_cells])))
+    rings = mpi.broadcast(_grounded_rings(part.box.shape, pieces) if mpi.is_root() else None)
+    count = [n + 2 for n in part.count[::-1]]
+    firm = np.zeros(part.cell_shape, dtype=bool)
+    inner = tuple(slice(GHOST - 1, GHOST - 1 + n) for n in count)
+    firm[inner] = np.unpackbits(rings[mpi.rank()], count=int(np.prod(count))).reshape(count)
+    return with_skin(firm, state.views["volume_fraction"], slow)
+
+
+def _grounded_rings(shape: tuple[int, int, int], pieces: list[tuple]) -> list[np.ndarray]:
+    """Return, per rank, which of its cells and of one layer around them are grounded, packed into bits.
+
+    ``pieces``: start, count (x, y, z) and packed solid cells of each rank.
+    """
+    whole = np.zeros(shape, dtype=bool)
+    for start, count, bits in pieces:
+        nx, ny, nz = count
+        own = np.unpackbits(bits, count=nx * ny * nz).reshape(nz, ny, nx)
+        whole[tuple(slice(s, s + n) for s, n in zip(start[::-1], count[::-1]))] = own
+    top = int(np.flatnonzero(whole.any(axis=(1, 2))).max(initial=0)) + 1
+    whole[:top] = grounded_cells(whole[:top])
+    around = np.pad(whole, 1)
+    return [np.packbits(around[tuple(slice(s, s + n + 2) for s, n in zip(start[::-1], count[::-1]))])
+            for start, count, _ in pieces]
+
+
 def surface_map(state: State, landed: np.ndarray) -> np.ndarray:
     """Return the height (m, from the bottom of the box) of the landed material's surface, (ny, nx), on all ranks.
 
@@ -111,10 +144,10 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
     """Return heights (m, above the substrate top), PEEQ and temperature percentiles of what has landed."""
     part = state.part
     fraction, mass = state.owned("volume_fraction"), state.owned("mass")
-    slow = _derived_with_ghosts(state, model, "speed") < SLOW * particle_speed
+    landed = landed_cells(state, model, particle_speed)
     centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
-    deposit = slow[part.owned_cells] & (fraction >= 0.5) & (centre[:, None, None] > substrate_height)
-    surface = surface_map(state, slow) - substrate_height
+    deposit = landed[part.owned_cells] & (fraction >= HALF_FULL) & (centre[:, None, None] > substrate_height)
+    surface = surface_map(state, landed) - substrate_height
     peeq, temperature = state.owned("peeq"), state.owned("temperature")
     solid = fraction > 0.5
     peeq_max = mpi.maximum(peeq[solid].max() if solid.any() else 0.0)

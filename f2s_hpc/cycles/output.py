@@ -17,6 +17,7 @@ import numpy as np
 
 import f2s_hpc
 from f2s_hpc import mpi
+from f2s_hpc.analysis.surface import LANDED
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
@@ -174,7 +175,7 @@ class RunFolder:
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
                      f"{summary['particles'] - flying} particles, {1e6 * summary['time_s']:.2f} us, dense height "
                      f"{1e6 * summary['dense_height_m']:.1f} um, cells of {1e6 * domain.cell_size:g} um", path,
-                     slow_speed=measure.SLOW * flight_speed(plan.batches, self.scene.top_speed))
+                     slow_speed=LANDED * flight_speed(plan.batches, self.scene.top_speed))
 
 
 def _note(text: object) -> None:

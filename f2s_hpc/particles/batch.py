@@ -331,15 +331,15 @@ def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[B
 
 
 def flight_speed(batches: Sequence[Batch], top_speed: float) -> float:
-    """Return the speed (m/s), a tenth of which tells material that has landed from what still flies.
+    """Return the speed (m/s), a third of which tells material that has landed from what still flies.
 
-    That of the fastest particle, but at most twice that of the slowest one that moves, which must not pass for landed
-    in its flight (half of the nodes around a cell on its surface are at rest). ``top_speed``: the highest of the scene
-    (m/s), which spheres without a velocity of their own have.
+    That of the fastest particle, but at most 1.4 times that of the slowest one that moves, which must not pass for
+    landed in its flight (half of the nodes around a cell on its surface are at rest). ``top_speed``: the highest of the
+    scene (m/s), which spheres without a velocity of their own have.
     """
     speeds = [np.linalg.norm(batch.velocity, axis=1) for batch in batches if batch.velocity is not None]
     moving = [float(s[s > 0.0].min()) for s in speeds if (s > 0.0).any()]
-    return min(top_speed, 2.0 * min(moving, default=top_speed))
+    return min(top_speed, 1.4 * min(moving, default=top_speed))
 
 
 def _warn_of_departure(scene, down: np.ndarray, messages: list[str]) -> None:

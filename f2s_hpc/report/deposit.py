@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f2s_hpc import places
-from f2s_hpc.analysis.surface import attached_material, surface_height
+from f2s_hpc.analysis.surface import LANDED, attached_material, surface_height
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
@@ -20,9 +20,6 @@ from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.io.tracers import TracerCloud, read_tracers
 from f2s_hpc.kernels import derived
 from f2s_hpc.particles.batch import Batch, flight_speed
-
-LANDED = 0.1
-"""Material slower than this share of ``flight_speed`` has landed, as in the cycle table."""
 
 _LAYERS_AT_ONCE = 16
 _ROWS_AT_ONCE = 32

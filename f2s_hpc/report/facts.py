@@ -29,7 +29,7 @@ ENERGY_NAMES = {
 METHODS = (
     ("Heights count from the substrate top as painted. The surface of a column is the top of its highest cell that "
      "is at least half full of landed material, plus what lies in the cell above (sub-cell, from volume fractions). "
-     "Landed is what is slower than a tenth of the particles and attached to the deposit. Dense-equivalent is the "
+     "Landed is what is slower than a third of the particles and attached to the substrate. Dense-equivalent is the "
      "height of all material in the box without pores."),
     ("Roughness: Gaussian filter of ISO 16610-21 with the cutoff stated; along an axis with symmetry on both "
      "sides the profile is continued as its mirror image, which is exact there, else the weights are renormalised, so "

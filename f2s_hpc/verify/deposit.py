@@ -28,13 +28,12 @@ _LOSS_BARS = ((3e-6, 0.12), (4e-6, 0.20), (6e-6, 0.30))
 def deposit_temperature(setup: Setup, scene: Scene) -> float:
     """Return the mean temperature (degC), weighted by mass, of what has landed above the substrate's top.
 
-    Landed: slower than a tenth of the particles' speed, in cells at least half full, as in the cycle table.
+    Landed is what has in the cycle table, in cells at least half full.
     """
     state, part = setup.state, setup.state.part
-    speed = measure.derived_field(state, setup.model, "speed")
     centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
-    landed = ((speed < measure.SLOW * scene.top_speed) & (state.owned("volume_fraction") >= 0.5)
-              & (centre[:, None, None] > scene.domain.substrate_height))
+    landed = (measure.landed_cells(state, setup.model, scene.top_speed)[part.owned_cells]
+              & (state.owned("volume_fraction") >= 0.5) & (centre[:, None, None] > scene.domain.substrate_height))
     mass = state.owned("mass")[landed]
     local = np.array([mass.sum(), mass @ state.owned("temperature")[landed]])
     whole, heat = sum(mpi.all_gather(local))
