@@ -172,8 +172,8 @@ def test_only_what_has_landed_above_the_substrate_counts(state, rng):
 def test_landed_is_what_is_attached_also_where_it_rings(state, rng):
     """An overhang, a slow fragment in the air, a surface that rings, a sphere that flies: as for the whole box at once.
 
-    Fails when the ring around a rank's cells is left empty (in ``_grounded_rings``), the lowest layer does not ground, or
-    ``LANDED`` is 0.1.
+    Fails when the ring around a rank's cells is left empty (in ``_grounded_rings``), the lowest layer does not ground,
+    or ``LANDED`` is 0.1.
     """
     model = build_model(parse_scene(SCENE, "test"))
     fraction = np.zeros(CELLS[::-1])

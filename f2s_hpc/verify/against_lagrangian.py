@@ -17,15 +17,15 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.verify import lagrangian
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.impact import ADIABATIC, JOHNSON_COOK, impact_of, settings_of
+from f2s_hpc.verify.impact import ADIABATIC, JOHNSON_COOK, PLACES, impact_of, places_of, settings_of
 from f2s_hpc.verify.lagrangian import Solution
-from f2s_hpc.verify.splat import Impact, Splat, splat
+from f2s_hpc.verify.splat import Impact, Splat, mean_splat, splats
 
 MESHES = {False: (20.0, 28.0), True: (24.0, 36.0)}
 """Cells per diameter of the Lagrangian meshes, by full size; the finer one is the reference."""
 
 BARS = ((24.0, {"height / D": 0.015, "width / D": 0.01, "crater depth / D": 0.03, "mean PEEQ": 0.03}),
-        (12.0, {"height / D": 0.03, "width / D": 0.015, "crater depth / D": 0.08, "mean PEEQ": 0.06}))
+        (12.0, {"height / D": 0.03, "width / D": 0.015, "crater depth / D": 0.08, "mean PEEQ": 0.07}))
 """From how many cells per diameter on which bars hold; coarser runs show the way there."""
 
 REFERENCE_BAR, ENERGY_BAR = 0.03, 0.01
@@ -69,12 +69,13 @@ def run(options: Options) -> Iterator[Measured]:
     yield Measured("energy that the Lagrangian solution leaves unexplained", value=unexplained, reference=0.0,
                    error=abs(unexplained), bar=ENERGY_BAR, **cost)
     for level in options.levels:
-        result = splat(impact, level, (ADIABATIC, *options.numerics))
+        runs = splats(impact, level, (ADIABATIC, *options.numerics), places_of(options))
+        result = mean_splat(runs)
         bars = next((bars for least, bars in BARS if level >= least), {})
         for name, value in _numbers(impact, result).items():
             yield Measured(name, level, result.dx, value, wanted[name], abs(value / wanted[name] - 1.0),
                            bars.get(name), **result.cost)
-        loss = result.balance["numerical_loss_fraction"]
+        loss = sum(run.balance["numerical_loss_fraction"] for run in runs) / len(runs)
         yield Measured("numerical loss", level, result.dx, loss, 0.0, loss, **result.cost)
         # no bar: on a mesh that moves it hangs on how thick the layer of cells at the interface is
         yield Measured("PEEQ p95", level, result.dx, result.peeq_p95, fine.peeq_p95,
@@ -88,8 +89,9 @@ CASES = (
     Case("impact-lagrangian",
          "25 um copper sphere on copper at 300 m/s, bonded where it touches, Johnson-Cook, adiabatic, 80 ns: height, "
          "width (second moments), mean PEEQ and crater depth on the axis against an axisymmetric Lagrangian solution "
-         "that is computed beside it and tells its own error.",
-         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _ON_BLOCK, _UNITS),
+         "that is computed beside it and tells its own error. Mean over places of the surface between two faces of the "
+         "cells.",
+         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _ON_BLOCK | PLACES, _UNITS),
     Case("sphere-mirror",
          "25 um copper sphere into its mirror image at 200 m/s, Johnson-Cook, adiabatic, 60 ns: height, width and mean "
          "PEEQ against the same Lagrangian solution.",

@@ -39,7 +39,7 @@ Sphere = tuple[float, float, float, float]
 
 
 def write_scene(cells: Sequence[int], dx: float, material: str, speed: float, duration: float, *,
-                spheres: Sequence[Sphere], substrate: int = 0, temperature: float = 298.15,
+                spheres: Sequence[Sphere], substrate: float = 0, temperature: float = 298.15,
                 faces: dict[str, str] | None = None, overrides: Sequence[str] = ()) -> Scene:
     """Return the scene of a box of ``cells`` (nx, ny, nz) cells of ``dx`` (m) and one batch of ``spheres``.
 

@@ -6,6 +6,7 @@ column sums of it, so they are finer than a cell.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,9 @@ from f2s_hpc.verify.scenes import cell_steps, scene_setup, write_scene
 
 LEAST_SHARE = 0.01
 """Cells with less of the particle do not count in percentiles over its volume, as in the published series."""
+
+MEANS = ("height_start", "height", "width", "crater", "peeq_p95", "peeqvavg_p95", "peeq_mean", "temperature_p95")
+"""Fields of :class:`Splat` that a mean over several runs is taken of; its balance is the first one's."""
 
 _FACES = {"x_low": "symmetry", "y_low": "symmetry"}
 
@@ -83,27 +87,42 @@ class Splat:
         return 1.0 - math.sqrt((self.height**2 + rough) / (self.height_start**2 + rough))
 
 
-def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = ()) -> Splat:
+def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = (), place: float = 0.0) -> Splat:
     """Run an impact and return what it left; collective, the same on every rank.
 
-    ``overrides``: "key.path=value" for the scene. Raises ``InputError`` and ``UnstableStep``.
+    ``overrides``: "key.path=value" for the scene; ``place``: how far (in cells, below 1) the surface lies above a face
+    of the cells. Raises ``InputError`` and ``UnstableStep``.
     """
     watch = Stopwatch()
     dx, radius = impact.diameter / cells_per_diameter, 0.5 * impact.diameter
     wide, deep = math.ceil(impact.half_width * cells_per_diameter), math.ceil(impact.depth * cells_per_diameter)
-    above = math.ceil(1.5 * cells_per_diameter)  # room for the rim, which rises beside the sphere
+    above = math.ceil(1.5 * cells_per_diameter) + math.ceil(place)  # room for the rim, which rises beside the sphere
     faces = _FACES if deep else _FACES | {"z_low": "symmetry"}
     scene = write_scene((wide, wide, deep + above), dx, impact.material, impact.speed, impact.duration,
-                        spheres=[(0.0, 0.0, radius, radius)], substrate=deep, temperature=impact.temperature,
+                        spheres=[(0.0, 0.0, radius, radius)], substrate=deep + place, temperature=impact.temperature,
                         faces=faces, overrides=("output.origin=true", *overrides))
     setup, substrate_quanta = scene_setup(scene)
     height_start, _ = _axes(setup)
     setup.advance_to(impact.duration)
     height, width = _axes(setup)
     balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
-    return Splat(dx, height_start, height, width, deep * dx - _interface(setup), peeq_p95(setup), peeqvavg_p95(setup),
-                 _peeq_mean(setup), _temperature_p95(setup), balance, setup.model.settings, setup.clock.steps,
-                 cell_steps(setup), watch.read())
+    return Splat(dx, height_start, height, width, (deep + place) * dx - _interface(setup), peeq_p95(setup),
+                 peeqvavg_p95(setup), _peeq_mean(setup), _temperature_p95(setup), balance, setup.model.settings,
+                 setup.clock.steps, cell_steps(setup), watch.read())
+
+
+def splats(impact: Impact, cells_per_diameter: float, overrides: Sequence[str], places: int) -> list[Splat]:
+    """Run an impact at ``places`` even places of its surface between two faces of the cells (a mirror lies on one).
+
+    What comes of it hangs on that place, at six cells per diameter by some per cent; particles of a spray have any.
+    """
+    return [splat(impact, cells_per_diameter, overrides, n / places) for n in range(places if impact.depth else 1)]
+
+
+def mean_splat(runs: Sequence[Splat]) -> Splat:
+    """Return the mean of runs that differ in their place; steps, cell-steps and wall time are those of all together."""
+    total = {name: sum(getattr(run, name) for run in runs) for name in (*MEANS, "steps", "cell_steps", "wall_s")}
+    return dataclasses.replace(runs[0], **total | {name: total[name] / len(runs) for name in MEANS})
 
 
 def _particle_mass(setup: Setup) -> np.ndarray:
