@@ -104,7 +104,7 @@ def run_section4(options: Options) -> Iterator[Measured]:
         unheated = balance["numerical_loss_unheated_fraction"]
         yield Measured("not come back as heat", level, dx, unheated, 0.0, unheated, compares=False, **cost)
         remainder = abs((energy["time_step"] + energy["remainder"]) / energy["brought_in"])
-        yield Measured("remainder", level, dx, remainder, 0.0, remainder, 0.005, **cost)
+        yield Measured("time step and remainder", level, dx, remainder, 0.0, remainder, 0.005, **cost)
         drift = abs(balance["mass_drift_relative"])
         yield Measured("mass drift", level, dx, drift, 0.0, drift, 1e-10, compares=False, **cost)
 
@@ -112,7 +112,8 @@ def run_section4(options: Options) -> Iterator[Measured]:
 CASES = (
     Case("section4",
          "Section 4 of Free2Spray (quick: two cycles on 72 x 72 um): share of the impact energy that no physical term "
-         "received, unexplained remainder, mass drift; resolutions are cells per 30 um (5: 6 um, 7.5: 4 um, 10: 3 um).",
+         "received, error of the explicit step with the unexplained remainder, mass drift; resolutions are cells per "
+         "30 um (5: 6 um, 7.5: 4 um, 10: 3 um).",
          run_section4, (5.0, 7.5), (5.0, 7.5, 10.0), {"cycles": "default"}),
     Case("deposit-temperature",
          "Patch of the scene quickstart, three batches (quick: 60 x 60 um): mean deposit temperature in degC must not "

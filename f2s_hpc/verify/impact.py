@@ -232,7 +232,7 @@ def _loss_bar(cells_per_diameter: float) -> float | None:
 
 
 def run_energy(options: Options) -> Iterator[Measured]:
-    """Yield the shares of the impact energy: the remainder, each numerical part, and the whole numerical loss."""
+    """Yield the shares of the impact energy: step and remainder, each numerical part, and the whole numerical loss."""
     impact = impact_of(options)
     for level in options.levels:
         result = splat(impact, level, options.numerics)
@@ -246,7 +246,8 @@ def _shares(result: Splat, level: float) -> Iterator[Measured]:
     brought = energy["brought_in"]
     share = {name: energy[name] / brought for name in ENERGY_TERMS}
     unexplained = _unexplained(result)
-    yield Measured("remainder", level, result.dx, unexplained, 0.0, abs(unexplained), 0.005, **result.cost)
+    yield Measured("time step and remainder", level, result.dx, unexplained, 0.0, abs(unexplained), 0.005,
+                   **result.cost)
     for name in (*NUMERICAL_TERMS, "shock_viscosity", "plastic_work", "heat"):
         numerical = name in NUMERICAL_TERMS
         yield Measured(name, level, result.dx, share[name], 0.0 if numerical else None,
@@ -263,8 +264,8 @@ def _remainder_falls(impact: Impact, result: Splat, level: float, options: Optio
     before, after = abs(_unexplained(result)), abs(_unexplained(halved))
     # where the parts of either sign cancel to under a thousandth, a ratio says nothing
     ratio = after / max(before, _CANCELLED)
-    yield Measured("remainder, half the step over whole", level, result.dx, ratio, None, ratio, 1.0, compares=False,
-                   **halved.cost)
+    yield Measured("time step and remainder, half the step over whole", level, result.dx, ratio, None, ratio, 1.0,
+                   compares=False, **halved.cost)
 
 
 def _unexplained(result: Splat) -> float:
@@ -302,8 +303,8 @@ CASES = (
          run_paper_cells, (12.0,), (24.0,), {n: t for n, t in _GE.items() if n != "diameter"} | PLACES,
          {n: u for n, u in _UNITS.items() if n != "diameter"}),
     Case("energy-jc",
-         "Energy of the 25 um Johnson-Cook sphere at 520 m/s, in shares of the impact energy: the unexplained "
-         "remainder, each numerical part, and the whole numerical loss.",
+         "Energy of the 25 um Johnson-Cook sphere at 520 m/s, in shares of the impact energy: error of the explicit "
+         "step with the remainder that no term explains, each numerical part, and the whole numerical loss.",
          run_energy, (8.0, 12.0), (8.0, 12.0, 18.0, 24.0), _JC, _UNITS),
     Case("energy-ge",
          "Energy of the 30 um Ge-model sphere at 615 m/s and 450 degC, in shares of the impact energy, likewise.",
