@@ -221,6 +221,12 @@ def test_analyse_writes_what_it_prints(two_runs, tmp_path, capsys):
     numbers = json.loads(copy.read_text(encoding="utf-8"))
     assert numbers["overlap_over_union"] == pytest.approx(1.0, abs=1e-6)
     assert "handover" not in numbers
+    assert numbers["overlap_covered"] == pytest.approx(1.0, abs=1e-6)
+    assert numbers["profile_mirrored"] is False
+    capsys.readouterr()
+    assert main([*arguments, "--symmetric", "--no-handover"]) == 0
+    assert "half a track, mirrored at x = 0" in capsys.readouterr().out
+    assert json.loads(copy.read_text(encoding="utf-8"))["profile_mirrored"]
 
 
 def test_the_page_holds_everything_and_needs_nothing(page):

@@ -14,7 +14,7 @@ import pytest
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import MIRROR, RENORMALISED
 from f2s_hpc.cli.main import main
-from f2s_hpc.config import dump_scene, parse_scene
+from f2s_hpc.config import dump_scene, load_scene, parse_scene
 from f2s_hpc.io import checkpoint, vtkhdf
 from f2s_hpc.io.layout import Block
 from f2s_hpc.particles.batch import Batch
@@ -26,6 +26,7 @@ from f2s_hpc.report.measure import (
     Settings,
     deposit_percentiles,
     filter_ends,
+    half_track,
     measure,
     median_diameter,
     particles_of_plane,
@@ -121,6 +122,65 @@ def test_the_profile_is_moved_onto_the_experiment_if_asked_to():
     assert (found.over_union, found.over_second) == pytest.approx((0.9, 1.0), rel=1e-6)
     assert apart.shift == 0.0
     assert apart.over_second < 0.99
+
+
+@pytest.mark.parametrize(("name", "overrides", "along", "half"), [
+    ("track-160", [], "y", True), ("track-80", [], "y", True), ("track-160", [], "x", False),
+    ("track-160", ["batches.jet_centre=1.774 mm"], "y", False), ("track-160", ["domain.faces.x_low=free"], "y", False),
+    ("quickstart", [], "y", False), ("splat-quarter", [], "y", True), ("splat-quarter", [], "x", True),
+    ("splat", [], "y", False)])
+def test_the_scene_tells_whether_half_a_track_was_sprayed(name, overrides, along, half):
+    """Fails when ``half_track`` looks at the side alone (``return True`` after it), or at the spray alone."""
+    assert half_track(load_scene(name, overrides), along) is half
+
+
+def test_half_a_track_is_mirrored_unless_told_not_to():
+    """A scan of the whole track, with another zero, over a run of its half: with ``--align`` all of it agrees.
+
+    Fails when ``measure`` takes ``settings.symmetric`` of None for no (then 61 % and -186 um on a real half strip).
+    """
+    at_mirror = 'batches.spheres=[["0 um", "20 um", "20 um", "10 um"]]'
+    deposit = made(pathlib.Path("nowhere"), at_mirror)
+    aligned = dataclasses.replace(SETTINGS, align=True)
+    whole = measure(deposit, dataclasses.replace(SETTINGS, symmetric=True))
+    scan = Profile(whole.profile.x + 40e-6, whole.profile.height)
+    found = measure(deposit, aligned, scan)
+    assert (found.overlap.over_union, found.overlap.shift) == pytest.approx((1.0, 40e-6), rel=1e-6)
+    assert any("mirrored at x = 0" in note for note in found.notes)
+    shown = values(found)
+    assert "mirrored at x = 0" in shown["profile_width_m"].group
+    assert shown["profile_width_m"].name.endswith("of the whole track")
+    assert shown["profile_area_m2"].name.endswith("of the whole track")
+    half = measure(deposit, dataclasses.replace(aligned, symmetric=False), scan)
+    assert half.size.area == pytest.approx(0.5 * found.size.area, rel=1e-9)
+    assert half.overlap.over_union < 0.85
+    assert not any("mirrored" in note for note in half.notes)
+    assert values(half)["profile_area_m2"].name == "area"
+
+
+def test_a_mirror_where_there_is_none_is_told():
+    """Fails when ``_mirror_notes`` does not look at the side."""
+    settings = dataclasses.replace(SETTINGS, symmetric=True, along="x")
+    (note,) = [n for n in measure(made(pathlib.Path("nowhere"), "domain.faces.y_low=free"), settings).notes
+               if n.startswith("profile")]
+    assert 'mirrored at y = 0 as asked (--symmetric), though domain.faces.y_low is "free"' in note
+
+
+def test_a_scan_of_a_part_of_the_deposit_is_told():
+    """Fails when ``_cover_notes`` is not called: such an overlap was 100 % without a word."""
+    deposit = made()
+    profile = measure(deposit, SETTINGS).profile
+    part = slice(10, 16)
+    found = measure(deposit, SETTINGS, Profile(profile.x[part], profile.height[part]))
+    assert found.overlap.over_union == pytest.approx(1.0, abs=1e-9)
+    assert found.overlap.covered == pytest.approx(6.0 / CELLS[0], rel=1e-9)
+    assert found.overlap.second_covered == 1.0
+    assert any("covers 20 % of the width of the simulated profile" in note for note in found.notes)
+    assert values(found)["overlap_covered"].text() == "20.0"
+    assert not any("overlap" in note for note in measure(deposit, SETTINGS, profile).notes)
+    wide = Profile(np.linspace(-60e-6, 120e-6, 91), np.full(91, 40e-6))
+    assert any("covers 33 % of the width of the experiment" in note
+               for note in measure(deposit, SETTINGS, wide).notes)
 
 
 def test_profiles_end_as_mirrors_between_symmetry_sides_only():

@@ -43,12 +43,15 @@ class Overlap:
     """How well two profiles overlap, each area taken above the substrate top and where both are known.
 
     ``over_union``: common area over the area under either, 1 only for equal profiles; ``over_second``: common area
-    over the area of the second; ``shift``: how far the first was moved along x (m) before.
+    over the area of the second; ``shift``: how far the first was moved along x (m) before; ``covered``: share of the
+    first's width that the second reaches over, ``second_covered``: share of the second's that the first does.
     """
 
     over_union: float
     over_second: float
     shift: float
+    covered: float
+    second_covered: float
 
 
 def heights(surface: np.ndarray, dense: float, substrate_height: float) -> dict[str, float]:
@@ -78,9 +81,28 @@ def mean_profile(surface: np.ndarray, dx: float, substrate_height: float, along:
 
 
 def mirrored(profile: Profile) -> Profile:
-    """Return the whole of a track of which the half beside the symmetry side x = 0 was simulated."""
+    """Return the whole of a track of which the half beside the symmetry side at place 0 was simulated."""
     return Profile(np.concatenate([-profile.x[::-1], profile.x]),
                    np.concatenate([profile.height[::-1], profile.height]), profile.spacing)
+
+
+def _edges(profile: Profile) -> tuple[float, float]:
+    """Return where a profile with any height begins and ends (m): see ``profile_size``."""
+    x, height, stretch = profile.x, np.maximum(profile.height, 0.0), profile.stretch
+    level = EDGE_SHARE * float(height.max())
+    inside = np.flatnonzero(height >= level)
+    low, high = int(inside[0]), int(inside[-1])
+    left = x[0] - 0.5 * stretch[0] if low == 0 else np.interp(level, height[[low - 1, low]], x[[low - 1, low]])
+    right = (x[-1] + 0.5 * stretch[-1] if high == x.size - 1
+             else np.interp(level, height[[high + 1, high]], x[[high + 1, high]]))
+    return float(left), float(right)
+
+
+def _covered(profile: Profile, by: Profile) -> float:
+    """Return the share of the width of ``profile`` over which ``by`` is known."""
+    left, right = _edges(profile)
+    low, high = by.x[0] - 0.5 * by.stretch[0], by.x[-1] + 0.5 * by.stretch[-1]
+    return float(np.clip((min(right, high) - max(left, low)) / (right - left), 0.0, 1.0))
 
 
 def profile_size(profile: Profile) -> ProfileSize:
@@ -90,17 +112,11 @@ def profile_size(profile: Profile) -> ProfileSize:
     of the outermost crossings of ``EDGE_SHARE`` of the maximum, linear between points, or to the end where it does not
     come down to that. Area: sum of height times stretch; what is below the substrate top counts as zero.
     """
-    x, height = profile.x, np.maximum(profile.height, 0.0)
     maximum = float(profile.height.max())
     if maximum <= 0.0:
         return ProfileSize(maximum, 0.0, 0.0)
-    level, stretch = EDGE_SHARE * maximum, profile.stretch
-    inside = np.flatnonzero(height >= level)
-    low, high = int(inside[0]), int(inside[-1])
-    left = x[0] - 0.5 * stretch[0] if low == 0 else np.interp(level, height[[low - 1, low]], x[[low - 1, low]])
-    right = (x[-1] + 0.5 * stretch[-1] if high == x.size - 1
-             else np.interp(level, height[[high + 1, high]], x[[high + 1, high]]))
-    return ProfileSize(maximum, float(right - left), float((height * stretch).sum()))
+    left, right = _edges(profile)
+    return ProfileSize(maximum, right - left, float((np.maximum(profile.height, 0.0) * profile.stretch).sum()))
 
 
 def overlap(first: Profile, second: Profile, align: bool = False) -> Overlap:
@@ -108,7 +124,8 @@ def overlap(first: Profile, second: Profile, align: bool = False) -> Overlap:
 
     The paper gives the ratio (above 80 %) but not its formula; here it is the common area over the area of the union,
     integral of min(h1, h2) over integral of max(h1, h2), the strictest of the usual ones, and beside it the common
-    area over that of the second profile. Integrals run over the x that both cover, heights below zero count as zero.
+    area over that of the second profile. Integrals run over the x that both cover (``Overlap.covered`` tells how much
+    of either that is), heights below zero count as zero.
     ``align``: move the first so that the centroids of the two agree (the zero of a scan is arbitrary).
     Raises ``InputError`` when the two have no x in common, or no area, or the first is one point only.
     """
@@ -128,7 +145,8 @@ def overlap(first: Profile, second: Profile, align: bool = False) -> Overlap:
     if union <= 0.0 or own <= 0.0:
         raise InputError("overlap: a profile without any height above the substrate has no overlap")
     common = float(np.minimum(one, two).sum())
-    return Overlap(common / union, common / own, shift)
+    moved = Profile(x1, first.height, first.spacing)
+    return Overlap(common / union, common / own, shift, _covered(moved, second), _covered(second, moved))
 
 
 def _centroid(profile: Profile) -> float:

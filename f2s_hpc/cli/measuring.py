@@ -30,7 +30,8 @@ def add_commands(command) -> None:
 def _run_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cycle", type=int, metavar="N", help="measure the end of cycle N (default: the last)")
     sub.add_argument("--experiment", metavar="CSV",
-                     help="a measured profile to overlap with; first line x_mm,height_mm or x_um,height_um")
+                     help="a measured profile to overlap with; first line x_mm,height_mm or x_um,height_um; only the x "
+                          "that both cover count, and what share of the widths that is stands beside the overlap")
     sub.add_argument("--align", action="store_true", help="move the simulated profile onto the experiment's centroid")
     sub.add_argument("--no-handover", action="store_true",
                      help="skip the check that a new batch changes nothing else (it takes the memory of a run)")
@@ -39,8 +40,12 @@ def _run_arguments(sub: argparse.ArgumentParser) -> None:
 
 def _settings_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cutoff", metavar="LENGTH", default="80 um", help='of the Gaussian filter (default: "80 um")')
-    sub.add_argument("--along", choices=("x", "y"), default="y", help="direction of the track (default: y)")
-    sub.add_argument("--symmetric", action="store_true", help="half a track was simulated: x = 0 is its middle")
+    sub.add_argument("--along", choices=("x", "y"), default="y",
+                     help="direction of the track (default: y); the profile runs over the other axis")
+    sub.add_argument("--symmetric", action=argparse.BooleanOptionalAction, default=None,
+                     help="half a track was simulated, so mirror the profile at x = 0 (with --along x it runs over y "
+                          "and is mirrored at y = 0), or do not (default: mirror it where that side is a symmetry side "
+                          "and the scene centres its spray there)")
     sub.add_argument("--surface-zone", metavar="LENGTH",
                      help="what porosity leaves out below the surface (default: half the median particle diameter)")
     sub.add_argument("--sections", type=int, metavar="N", default=10,

@@ -241,7 +241,8 @@ def findings(runs: Runs) -> list[str]:
         if m.areal is not None:
             text += f"; Sa {1e6 * m.areal.Sa:.2f} µm at a cutoff of {1e6 * m.areal.cutoff:g} µm"
         if m.overlap is not None:
-            text += f"; overlap with the experiment {100 * m.overlap.over_union:.1f} %"
+            text += (f"; overlap with the experiment {100 * m.overlap.over_union:.1f} %, which covers "
+                     f"{100 * m.overlap.covered:.0f} % of the simulated width")
         texts.append(f"{text}.")
         if m.traced is not None:
             texts.append(f"{label + ': ' if label else ''}{traced_finding(m)}.")

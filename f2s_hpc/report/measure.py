@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from f2s_hpc.analysis import boundaries, depth, flattening, porosity, profile, roughness
 from f2s_hpc.analysis.picture import Section, choose_section
 from f2s_hpc.analysis.surface import dense_height
+from f2s_hpc.config import Scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.report.deposit import Deposit
 from f2s_hpc.report.handover import Handover
@@ -20,6 +21,9 @@ PAPER_HEIGHT = {"recurring": 363e-6, "standard": 362e-6}
 
 MOST_SECTIONS = 100_000
 """More than a box has cells along an axis: further ones would be the same again."""
+
+WELL_COVERED = 0.9
+"""A smaller share of a profile's width in common with the other is worth a note."""
 
 _PAPER_PATCH, _PAPER_PARTICLES, _PAPER_SPEED = 0.35e-3, 5000, 615.0
 
@@ -32,7 +36,8 @@ class Settings:
     leaves out below the surface, None for half the median particle diameter, at least two cells; ``sections``: planes
     each along x and y for image porosity; ``smallest_pore``: pixels; ``layer``: thickness of the layers of the
     distributions; ``prominence``: least rise of a PEEQ ridge (``analysis.boundaries``); ``symmetric``: half a track
-    was simulated, x = 0 is its middle; ``align``: move the profile onto the experimental one before they overlap.
+    was simulated, and place 0 of the profile (x, or y with a track along x) is its middle, None where the scene shall
+    tell (``half_track``); ``align``: move the profile onto the experimental one before they overlap.
     """
 
     along: str = "y"
@@ -42,7 +47,7 @@ class Settings:
     smallest_pore: int = 4
     layer: float = 10e-6
     prominence: float = boundaries.PROMINENCE
-    symmetric: bool = False
+    symmetric: bool | None = None
     align: bool = False
 
 
@@ -59,7 +64,8 @@ class Porosity:
 
 @dataclass(eq=False)
 class Measurements:
-    """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI.
+    """What was measured on ``deposit``; ``notes`` tell what could not be, and why. All SI. ``settings`` are resolved:
+    ``symmetric`` is no longer None.
 
     ``distributions``: in layers; ``overall``: in the whole substrate and in the whole deposit; ``rough_along``: of
     profiles along the track, ``rough_across`` of those across it; ``traced``: every particle, from its points.
@@ -103,6 +109,52 @@ def is_section4(deposit: Deposit) -> bool:
             and deposit.diameters.size == _PAPER_PARTICLES)
 
 
+def _across(along: str) -> str:
+    """Return the axis of the profile across a track along x or y."""
+    return "x" if along == "y" else "y"
+
+
+def half_track(scene: Scene, along: str = "y") -> bool:
+    """Tell whether the scene sprays half of a track that runs along ``along``.
+
+    So it is where the low side of the axis across is a mirror and the spray is centred in it: the jet's axis lies
+    there, or all listed spheres do.
+    """
+    axis = _across(along)
+    if getattr(scene.domain.faces, f"{axis}_low") != "symmetry":
+        return False
+    tolerance, batches = 1e-3 * scene.domain.cell_size, scene.batches
+    if batches.spheres:
+        return all(abs(sphere["xy".index(axis)]) <= tolerance for sphere in batches.spheres)
+    # (a jet has an axis over x only; with batches from files its speed law tells of it)
+    jet = batches.distribution == "sech" or scene.particles.speed_curvature != 0.0
+    return axis == "x" and jet and abs(batches.jet_centre) <= tolerance
+
+
+def _mirror_notes(scene: Scene, settings: Settings, asked: bool | None) -> list[str]:
+    """Return what to say about the mirror of the profile; ``settings`` have it resolved from what was ``asked``."""
+    axis = _across(settings.along)
+    side = f"domain.faces.{axis}_low"
+    if asked is None and settings.symmetric:
+        return [(f"profile: half a track was simulated ({side} is a mirror, and the spray is centred in it), so it is "
+                 f"mirrored at {axis} = 0; width and area are those of the whole track (--no-symmetric: of the half)")]
+    face = getattr(scene.domain.faces, f"{axis}_low")
+    if asked and face != "symmetry":
+        return [f'profile: mirrored at {axis} = 0 as asked (--symmetric), though {side} is "{face}", no mirror']
+    return []
+
+
+def _cover_notes(over: profile.Overlap) -> list[str]:
+    """Return what to say where the two profiles know little of each other."""
+    notes = []
+    for share, text in ((over.covered, "the experiment covers {:.0f} % of the width of the simulated profile"),
+                        (over.second_covered, "the simulated profile covers {:.0f} % of the width of the experiment")):
+        if share < WELL_COVERED:
+            notes.append(f"overlap: {text.format(100.0 * share)}; only what both cover counts, so the overlap says "
+                         "nothing about the rest")
+    return notes
+
+
 def measure(deposit: Deposit, settings: Settings = Settings(),
             experiment: profile.Profile | None = None) -> Measurements:
     """Return all measurements of a deposit; what it does not allow is left out with a note.
@@ -114,32 +166,34 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
         raise InputError(f"--sections {settings.sections}: it must be at least 1 and at most {MOST_SECTIONS:,}")
     if settings.smallest_pore < 1:
         raise InputError(f"--smallest-pore {settings.smallest_pore}: it must be at least 1")
+    asked, scene = settings.symmetric, deposit.scene
+    settings = replace(settings, symmetric=half_track(scene, settings.along) if asked is None else asked)
     dense = dense_height(deposit.fraction, deposit.dx, deposit.ground)
     whole = profile.mean_profile(deposit.surface, deposit.dx, deposit.ground, settings.along)
     if settings.symmetric:
         whole = profile.mirrored(whole)
     section = choose_section(deposit.fraction, deposit.surface, deposit.dx, deposit.ground)
-    notes: list[str] = []
+    notes = _mirror_notes(scene, settings, asked)
     if deposit.skipped:
         notes.append(f"skipped: {deposit.skipped}")
     if deposit.detached > deposit.dx**3:
         notes.append(f"heights: {1e18 * deposit.detached:.3g} µm³ of slow fragments hang in the air, not "
                      "attached to the deposit; they are no part of its surface (the run's cycle table counts them)")
     flat, planes = _flattening(deposit, settings, notes)
-    scheme = deposit.scene.scheme
     found = Measurements(
         deposit, settings, profile.heights(deposit.surface, dense, deposit.ground),
-        PAPER_HEIGHT[scheme] if is_section4(deposit) else None, whole, profile.profile_size(whole),
+        PAPER_HEIGHT[scene.scheme] if is_section4(deposit) else None, whole, profile.profile_size(whole),
         None, None, None, _porosity(deposit, settings, notes), _distributions(deposit, settings.layer),
         _distributions(deposit, deposit.fraction.shape[0] * deposit.dx), flat,
         {"equation_5": flattening.regression(flat.width, flat.equation_5),
          "equation_6": flattening.regression(flat.diameter, flat.equation_6)}, section, planes,
         experiment=experiment, notes=notes, traced=trace(deposit))
-    if deposit.scene.output.tracers and found.traced is None:
+    if scene.output.tracers and found.traced is None:
         notes.append(f"tracers: no points were saved at the end of cycle {deposit.cycle}")
     _roughness(found)
     if experiment is not None:
         found.overlap = profile.overlap(whole, experiment, settings.align)
+        notes += _cover_notes(found.overlap)
     return found
 
 
@@ -155,7 +209,7 @@ def _roughness(found: Measurements) -> None:
     ends = filter_ends(deposit)
     by_axis = {"x": (deposit.surface, ends[0]), "y": (deposit.surface.T, ends[1])}
     along = found.settings.along
-    across = "x" if along == "y" else "y"
+    across = _across(along)
     if min(deposit.surface.shape) < 3:
         found.notes.append("roughness: the box is narrower than three cells")
         return

@@ -81,11 +81,13 @@ def _heights(found: Measurements) -> list[Quantity]:
 
 
 def _profile(found: Measurements) -> list[Quantity]:
-    group = f"Profile across the track (mean along {found.settings.along})"
+    along, mirrored = found.settings.along, found.settings.symmetric
+    half = f"; half a track, mirrored at {'x' if along == 'y' else 'y'} = 0" if mirrored else ""
+    group, whole = f"Profile across the track (mean along {along}{half})", ", of the whole track" if mirrored else ""
     size, over = found.size, found.overlap
     rows = [_length(group, "profile_maximum", "maximum height", size.maximum),
-            _length(group, "profile_width", "width at 5 % of the maximum", size.width),
-            Quantity(group, "profile_area_m2", "area", size.area, "µm²", 1e12, ".1f")]
+            _length(group, "profile_width", f"width at 5 % of the maximum{whole}", size.width),
+            Quantity(group, "profile_area_m2", f"area{whole}", size.area, "µm²", 1e12, ".1f")]
     if over is not None:
         top = float(found.experiment.height.max())
         rows += [_length(group, "experiment_maximum", "maximum height of the experiment", top),
@@ -95,6 +97,10 @@ def _profile(found: Measurements) -> list[Quantity]:
                           over.over_union, "%", 100.0, ".1f"),
                  Quantity(group, "overlap_over_experiment", "common area over that of the experiment",
                           over.over_second, "%", 100.0, ".1f"),
+                 Quantity(group, "overlap_covered", "share of the simulated width that the experiment covers",
+                          over.covered, "%", 100.0, ".1f"),
+                 Quantity(group, "overlap_experiment_covered", "share of the experiment's width that is simulated",
+                          over.second_covered, "%", 100.0, ".1f"),
                  _length(group, "overlap_shift", "shift of the simulated profile", over.shift)]
     return rows
 
