@@ -22,7 +22,7 @@ from f2s_hpc.particles.batch import (
     stack,
     write_csv,
 )
-from f2s_hpc.particles.packing import pack, smallest_gap_ratio
+from f2s_hpc.particles.packing import DENSEST, LEAST_FAILURES, NEXT_SIZE, crowd, pack, smallest_gap_ratio
 from f2s_hpc.particles.sizes import RosinRammler
 
 UM, MM = 1e-6, 1e-3
@@ -165,6 +165,51 @@ def test_packer_says_how_many_it_could_place():
     assert tall.r[0] == 10 * UM
     assert tall.reached_gap == math.inf
     assert "1 found no room" in tall.message()
+
+
+def test_a_size_without_room_is_given_up_and_smaller_ones_still_find_some():
+    """Fails (as none but the first size is tried) when ``given_up`` becomes 0, and when ``radius > given_up`` is left
+    out, as then all thousand spheres are tried: they must cost no more than ``LEAST_FAILURES`` of them."""
+    box = (0.1 * MM, 0.1 * MM, 0.1 * MM)
+
+    class Counting:
+        """A generator that counts what is drawn from it."""
+
+        def __init__(self) -> None:
+            self.own, self.rows = generator(1), 0
+
+        def random(self, shape: tuple[int, int]) -> np.ndarray:
+            self.rows += shape[0]
+            return self.own.random(shape)
+
+    few, many = Counting(), Counting()
+    small = np.full(20, 10 * UM)
+    first = pack(np.concatenate([np.full(40 + LEAST_FAILURES, 40 * UM), small]), box, 1.2, few, 2000)
+    second = pack(np.concatenate([np.full(1000, 40 * UM), small]), box, 1.2, many, 2000)
+    assert few.rows == many.rows < 2000 * (60 + LEAST_FAILURES)
+    assert np.array_equal(first.x, second.x)
+    assert (second.r < NEXT_SIZE * 20 * UM).sum() == 20
+    assert 3 < (second.r == 20 * UM).sum() < 40
+
+
+def test_a_crowd_is_told_before_it_is_placed():
+    """Fails when ``crowd`` leaves out what the walls cut, or the gap; what can be placed is never above 1."""
+    box = (1.0 * MM, 1.0 * MM, 1.0 * MM)
+    radii = np.full(1000, 20 * UM)
+    own = 1000 * 4 / 3 * math.pi * (20 * UM) ** 3 / DENSEST
+    assert crowd(radii, box, 1.0) == pytest.approx(own / (1.04 * MM * 1.04 * MM * 1.0 * MM), rel=1e-9)
+    assert crowd(radii, box, 1.5) == pytest.approx(1.5**3 * own / (1.06 * MM * 1.06 * MM * 1.02 * MM), rel=1e-9)
+    assert crowd(radii[:0], box, 1.0) == 0.0
+    for count, narrow, gap in ((2000, LAYER, 1.0), (60, (0.05 * MM, 0.05 * MM, 0.09 * MM), 1.0), (40, LAYER, 4.0)):
+        packed = pack(powder().sample_by_number(count, generator(2)), narrow, gap, generator(3), 200)
+        assert crowd(packed.r, narrow, gap) < 1.0
+
+
+@pytest.mark.parametrize("particles", [3000, 20_000, 1_000_000])
+def test_more_particles_than_any_packing_holds_are_refused_at_once(particles):
+    """Fails when ``_refuse_crowd`` is not called: 20,000 particles in the small layer took many minutes of silence."""
+    with pytest.raises(InputError, match=rf"batches.particles = {particles}: .* ask for fewer than (2|3)\d\d "):
+        make_batches(load_scene("quickstart", [f"batches.particles={particles}"]))
 
 
 @pytest.mark.parametrize(("diameters", "box", "gap", "attempts"), [

@@ -20,7 +20,7 @@ from f2s_hpc import places
 from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.sphere import sphere_box_volume
 from f2s_hpc.particles.lateral import SechProfile
-from f2s_hpc.particles.packing import pack, smallest_gap_ratio
+from f2s_hpc.particles.packing import crowd, pack, smallest_gap_ratio
 from f2s_hpc.particles.sizes import SMALLEST, RosinRammler
 
 COLUMNS = ("x", "y", "z", "r")
@@ -269,6 +269,18 @@ def _warn_of_overlap(batch: Batch, label: str, messages: list[str]) -> None:
                         "where a cell that they share cannot hold both, the later one is moved")
 
 
+def _refuse_crowd(wanted, diameters: np.ndarray, box: tuple[float, float, float], number: int) -> None:
+    """Raise InputError where no packing can hold the particles of a batch, before any is placed."""
+    share = crowd(0.5 * diameters[diameters <= box[2]], box, wanted.gap_factor)
+    if not share <= 1.0:
+        lx, ly, lz = (f"{1e3 * length:g}" for length in box)
+        volume = np.pi / 6.0 * float(np.sum(diameters**3))
+        raise InputError(f"batches.particles = {wanted.particles}: those of batch {number} have {1e9 * volume:.3g} mm3,"
+                         f" {share:.3g} times what the densest packing at gap factor {wanted.gap_factor:g} holds in the "
+                         f"layer of {lx} x {ly} x {lz} mm; ask for fewer than {int(wanted.particles / share)} (at "
+                         "random places about half of that fit), or a taller domain.particle_layer_height")
+
+
 def _generate(scene, height: float, seeds: list[np.random.SeedSequence], messages: list[str]) -> list[Batch]:
     """Return scene.batches.count packed batches, one seed each, for a layer of the given height (m)."""
     wanted = scene.batches
@@ -288,6 +300,7 @@ def _generate(scene, height: float, seeds: list[np.random.SeedSequence], message
     for number, seed in enumerate(seeds, start=1):
         generator = np.random.Generator(np.random.PCG64(seed))
         diameters = sizes.sample_by_number(wanted.particles, generator)
+        _refuse_crowd(wanted, diameters, box, number)
         lateral = jet.sample(wanted.particles, 0.0, box[0], generator) if jet else None
         packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
         if packed.placed == 0:

@@ -1,7 +1,8 @@
 """Random placement of spheres without overlap: each sphere goes to the first free of its random places.
 
 Largest first, because a large sphere finds no room among many small ones. Neighbours are looked up in
-a grid of bins, so thousands of spheres take a second.
+a grid of bins, so thousands of spheres take a second. A size for which room has run out is not tried for long, and a
+crowd that no packing can hold is told beforehand.
 """
 
 from __future__ import annotations
@@ -14,6 +15,13 @@ from f2s_hpc._jit import kernel
 from f2s_hpc.errors import InputError
 
 FIRST_BLOCK, LARGEST_BLOCK = 64, 4096
+DENSEST = 0.64
+"""Volume share of the densest random packing of equal spheres. Spheres put down at random places, one after the other,
+stay well below it, whatever their sizes."""
+LEAST_FAILURES, LEAST_TRIES = 50, 100_000
+"""Spheres in a row, and random places for them, that must have found no room before their size is given up."""
+NEXT_SIZE = 0.95
+"""A sphere this much smaller than one whose size was given up is tried again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +50,8 @@ class PackingResult:
         text = (f"placed {self.placed} of {self.requested} spheres in {lx} x {ly} x {lz} mm at gap factor "
                 f"{self.gap_factor:g} (reached {self.reached_gap:.4f}, {100 * share:.1f} % of the volume)")
         if self.placed < self.requested:
-            text += (f"; {self.requested - self.placed} found no room in {self.attempts} attempts each: "
-                     "ask for fewer particles, a smaller gap factor or a taller layer")
+            text += (f"; {self.requested - self.placed} found no room (in {self.attempts} attempts, or as others of "
+                     "their size had): ask for fewer particles, a smaller gap factor or a taller layer")
         return text
 
 
@@ -83,8 +91,15 @@ def _first_free(places, radius, gap_factor, largest, x, y, z, r, head, following
 def smallest_gap_ratio(x, y, z, r):
     """Return the smallest centre distance over summed radii among all pairs; infinite for fewer than two."""
     smallest = np.inf
-    for first in range(x.size):
-        for second in range(first + 1, x.size):
+    order = np.argsort(x)
+    largest = r.max() if r.size else 0.0
+    for n in range(x.size):
+        first = order[n]
+        widest = (r[first] + largest) * (r[first] + largest)
+        for m in range(n + 1, x.size):
+            second = order[m]
+            if (x[second] - x[first]) ** 2 / widest >= smallest:  # (so are all that follow)
+                break
             squared = (x[first] - x[second]) ** 2 + (y[first] - y[second]) ** 2 + (z[first] - z[second]) ** 2
             summed = r[first] + r[second]
             smallest = min(smallest, squared / (summed * summed))
@@ -173,13 +188,28 @@ def _find_place(radius: float, box: tuple[float, float, float], generator: np.ra
     return None
 
 
+def crowd(radii: np.ndarray, box: tuple[float, float, float], gap_factor: float) -> float:
+    """Return the volume of spheres (radii in m), their gaps with them, over the most that any packing in ``box`` holds.
+
+    Above 1 they cannot be placed. Side walls cut spheres, so the box counts as larger by a radius on each side.
+    """
+    if not radii.size:
+        return 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        reach = gap_factor * float(radii.max())
+        outside = (gap_factor - 1.0) * float(radii.max())  # layer ends cut no sphere, but its gap may stick out
+        room = (box[0] + 2.0 * reach) * (box[1] + 2.0 * reach) * (box[2] + 2.0 * outside)
+        return 4.0 / 3.0 * np.pi * float(np.sum((gap_factor * radii) ** 3)) / (DENSEST * room)
+
+
 def pack(diameters: np.ndarray, box: tuple[float, float, float], gap_factor: float, generator: np.random.Generator,
          attempts: int, lateral: np.ndarray | None = None) -> PackingResult:
     """Place spheres of the given diameters (m, shape (n,)) at random in the box (lx, ly, lz) (m).
 
     Centre distances are at least ``gap_factor`` times the summed radii. Centres lie anywhere in 0..lx and
     0..ly (spheres may cross the side walls), and r <= z <= lz - r. Each sphere tries ``attempts`` places and is
-    left out if none is free (``placed`` < ``requested``; see ``PackingResult.message``).
+    left out if none is free (``placed`` < ``requested``; see ``PackingResult.message``). Once ``LEAST_FAILURES`` in a
+    row (and ``LEAST_TRIES`` places) found none, those of about the same size are left out untried.
 
     ``lateral`` (n,) gives each sphere its x (m) beforehand, and only y and z are tried: a crowded jet's axis then
     keeps its share, where new places for the spheres it has no room for would thin it out.
@@ -197,18 +227,23 @@ def pack(diameters: np.ndarray, box: tuple[float, float, float], gap_factor: flo
     x, y, z, r = (np.empty(radii.size) for _ in range(4))
     head, bin_size = _bins(box, radii.size)
     following = np.empty(radii.size, dtype=np.int64)
-    placed = 0
+    placed, failures, given_up = 0, 0, np.inf
+    most_failures = max(LEAST_FAILURES, -(-LEAST_TRIES // attempts))
 
     def search(places: np.ndarray, radius: float) -> int:
         largest = r[0] if placed else 0.0
         return _first_free(places, radius, gap_factor, largest, x, y, z, r, head, following, bin_size)
 
     for index, radius in enumerate(radii):
-        if 2.0 * radius > box[2]:
+        if 2.0 * radius > box[2] or radius > given_up:
             continue
         place = _find_place(radius, box, generator, attempts, search, None if lateral is None else lateral[index])
         if place is None:
+            failures += 1
+            if failures >= most_failures:
+                failures, given_up = 0, NEXT_SIZE * radius
             continue
+        failures = 0
         x[placed], y[placed], z[placed] = place
         r[placed] = radius
         here = tuple(np.minimum((place / bin_size).astype(np.int64), np.array(head.shape) - 1))
