@@ -90,7 +90,17 @@ FIELDS: tuple[Field, ...] = (
           "energy of the node (J/kg)"),
 )
 
+DERIVED: tuple[Field, ...] = (
+    Field("pressure", CELL, "Pa", "pressure of the material"),
+    Field("von_mises", CELL, "Pa", "von Mises stress"),
+    Field("speed", CELL, "m/s", "speed of the material, the mean of the nodes of its cell"),
+)
+"""What is computed for output only, from the fields."""
+
 BY_NAME = {field.name: field for field in FIELDS}
+
+UNITS = {field.name: field.unit for field in FIELDS + DERIVED}
+"""Unit of everything that can be written; "1" for plain numbers."""
 
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")

@@ -97,6 +97,23 @@ def test_frame_follows_the_format(frames):
 
 
 @pytest.mark.mpi
+def test_every_array_tells_its_unit(frames):
+    """In the frame and in the index. Fails when ``write_frame`` or ``_write_index`` does not pass the units on."""
+    expected = {"peeq": b"1", "temperature": b"K", "von_mises": b"Pa", "velocity_x": b"m/s", "stress_xx": b"Pa"}
+    path = write(frames, 0, names=tuple(expected))
+    vtkhdf.update_index(frames)
+    for name in (path, frames.parent / "deposit.vtkhdf"):
+        with h5py.File(name, "r") as file:
+            root = file["VTKHDF"]
+            found = {field: dataset.attrs["units"] for place in ("CellData", "PointData")
+                     for field, dataset in root[place].items()}
+            assert found == expected
+            assert not root["CellData/peeq"].attrs.get_id("units").get_type().is_variable_str()
+            if "Steps" in root:
+                assert root["Steps/Values"].attrs["units"] == b"s"
+
+
+@pytest.mark.mpi
 def test_cells_or_nodes_by_shape_and_by_name(frames):
     """Fails when ``_located`` leaves out the table of fields: velocities alone then pass for cells."""
     write(frames, 0, names=("velocity_x", "velocity_z"))

@@ -26,7 +26,7 @@ from f2s_hpc.config.quantities import (
 )
 
 Face = Literal["symmetry", "fixed", "free", "outflow", "absorbing"]
-DERIVED_FIELDS = ("pressure", "von_mises", "speed")
+DERIVED_FIELDS = tuple(f.name for f in fields.DERIVED)
 SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
 LEAST_TRACERS = 10
 MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers

@@ -37,6 +37,7 @@ INDEX, SIDECAR = "deposit.vtkhdf", "deposit.xmf"
 PARTIAL, DELETED = ".partial", ".deleted"
 FIELDS_GROUP, ATTRIBUTES = "fields", "attributes"
 VTK_ROOT, CELL_DATA, POINT_DATA = "VTKHDF", "CellData", "PointData"
+UNIT_ATTRIBUTE = "units"
 PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
 CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
 FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
@@ -207,6 +208,12 @@ def write_text(file: h5py.File, name: str, text: str) -> None:
         dataset[()] = np.bytes_(encoded)
 
 
+def tell_unit(dataset: h5py.Dataset, unit: str | None) -> None:
+    """Give a dataset its unit as the attribute ``units``, on all ranks alike; readers of VTKHDF pass over it."""
+    if unit:
+        dataset.attrs.create(UNIT_ATTRIBUTE, np.bytes_(unit), dtype=h5py.string_dtype("ascii", len(unit)))
+
+
 def read_text(file: h5py.File, name: str) -> str:
     """Return a scalar string dataset."""
     value = file[name][()]
@@ -215,11 +222,11 @@ def read_text(file: h5py.File, name: str) -> str:
 
 def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Block], texts: dict[str, str],
                  prepare: Callable[[h5py.File], None], dtype: str | Sequence[str], compress: bool,
-                 kind: type[F2SError]) -> None:
+                 kind: type[F2SError], units: Sequence[str | None] = ()) -> None:
     """Write ``blocks`` to the datasets ``places`` of a new HDF5 file, all ranks together, and flush it.
 
-    ``dtype``: of all datasets, or one for each. ``prepare`` adds groups and attributes, the same on all ranks. Any
-    failure on any rank raises ``kind`` on all ranks and removes the file.
+    ``dtype``: of all datasets, or one for each; ``units``: of each, where it has one. ``prepare`` adds groups and
+    attributes, the same on all ranks. Any failure on any rank raises ``kind`` on all ranks and removes the file.
     """
     context = f"cannot write {path.name.removeprefix('.').removesuffix(PARTIAL)} in {path.parent}"
     types = [dtype] * len(blocks) if isinstance(dtype, str) else dtype
@@ -234,8 +241,11 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
         prepare(file)
         for name, text in texts.items():
             write_text(file, name, text)
-        return [file.create_dataset(place, block.global_shape, dtype=t, chunks=chunk, **filters)
+        made = [file.create_dataset(place, block.global_shape, dtype=t, chunks=chunk, **filters)
                 for place, block, t, chunk in zip(places, blocks, types, chunks, strict=True)]
+        for dataset, unit in zip(made, units):
+            tell_unit(dataset, unit)
+        return made
 
     try:
         datasets = attempt_together(structure, context, kind)

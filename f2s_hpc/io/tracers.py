@@ -22,6 +22,7 @@ from f2s_hpc.io.layout import POINT_DATA, PROVENANCE, VTK_ROOT, Block, attempt_o
 _TABLE = f"{layout.PROVENANCE_GROUP}/particles"
 _POINTS = {"Points": "f4", f"{POINT_DATA}/particle": "i4", f"{POINT_DATA}/diameter": "f4",
            f"{POINT_DATA}/volume_fraction": "f4", f"{POINT_DATA}/peeq": "f4", f"{POINT_DATA}/temperature": "f4"}
+_UNITS = ("m", None, "m", "1", "1", "K")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def write_tracers(folder: str | os.PathLike, cycle: int, cloud: TracerCloud, pro
     partial = layout.partial_path(path)
     datasets = [f"{VTK_ROOT}/{name}" for name in _POINTS]
     layout.write_shared(partial, datasets, blocks, {PROVENANCE: text}, lambda file: _prepare(file, cycle, cloud),
-                        tuple(_POINTS.values()), False, F2SError)
+                        tuple(_POINTS.values()), False, F2SError, _UNITS)
     try:
         layout.attempt_together(lambda: layout.read_back(partial, datasets, blocks), context)
     except F2SError:

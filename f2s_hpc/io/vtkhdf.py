@@ -17,7 +17,7 @@ import numpy as np
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import F2SError
-from f2s_hpc.fields import BY_NAME, NODE
+from f2s_hpc.fields import BY_NAME, NODE, UNITS
 from f2s_hpc.io import layout, xdmf
 from f2s_hpc.io.layout import CELL_DATA, POINT_DATA, PROVENANCE, VTK_ROOT, Block, attempt_on_root
 from f2s_hpc.io.runs import FrameMeta, list_frames, read_frame_meta
@@ -59,7 +59,8 @@ def write_frame(folder: str | os.PathLike, number: int, time: float, blocks: Seq
     """Write frame ``number`` of the run at ``time`` (s) into ``folder``; return its path. All ranks.
 
     ``blocks`` are float64 [k, j, i], cells or nodes, saved as float32 (shuffled, gzip level 1).
-    ``origin`` and ``spacing`` are (x, y, z), m. ``provenance`` is saved as JSON under ``/f2s``.
+    ``origin`` and ``spacing`` are (x, y, z), m. ``provenance`` is saved as JSON under ``/f2s``. Each field has its unit
+    as the attribute ``units``.
     A frame of the same number is replaced once the new one is whole. Raises ``F2SError`` on all ranks.
     """
     folder = pathlib.Path(folder)
@@ -86,7 +87,8 @@ def write_frame(folder: str | os.PathLike, number: int, time: float, blocks: Seq
     path = folder / layout.frame_name(head[0])
     partial = layout.partial_path(path)
     datasets = [f"{VTK_ROOT}/{place}/{block.name}" for place, block in zip(places, blocks, strict=True)]
-    layout.write_shared(partial, datasets, blocks, {PROVENANCE: text}, prepare, "f4", True, F2SError)
+    layout.write_shared(partial, datasets, blocks, {PROVENANCE: text}, prepare, "f4", True, F2SError,
+                        [UNITS.get(block.name) for block in blocks])
     try:
         layout.attempt_together(lambda: layout.read_back(partial, datasets, blocks), context)
     except F2SError:
@@ -148,7 +150,8 @@ def _write_index(file: h5py.File, frames: str, metas: Sequence[FrameMeta], share
     root = _image_head(file, (2, 0), last.cells, last.origin, last.spacing)
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = np.int64(count)
-    steps.create_dataset("Values", data=np.array([meta.time_s for meta in metas], dtype=np.float64))
+    times = steps.create_dataset("Values", data=np.array([meta.time_s for meta in metas], dtype=np.float64))
+    layout.tell_unit(times, "s")
     offsets = {place: steps.create_group(f"{place}Offsets") for place in (CELL_DATA, POINT_DATA)}
     for name in shared:
         place = last.locations[name]
@@ -158,7 +161,7 @@ def _write_index(file: h5py.File, frames: str, metas: Sequence[FrameMeta], share
         for step, meta in enumerate(metas):
             virtual[step] = h5py.VirtualSource(f"{frames}/{layout.frame_name(meta.number)}",
                                                f"{VTK_ROOT}/{place}/{name}", shape=shape, dtype="f4")
-        root.create_virtual_dataset(f"{place}/{name}", virtual)
+        layout.tell_unit(root.create_virtual_dataset(f"{place}/{name}", virtual), UNITS.get(name))
         # Readers have crashed on files without offsets.
         offsets[place].create_dataset(name, data=np.arange(count, dtype=np.int64))
     own = file.create_group(layout.PROVENANCE_GROUP)

@@ -276,8 +276,8 @@ def _refuse_crowd(wanted, diameters: np.ndarray, box: tuple[float, float, float]
         lx, ly, lz = (f"{1e3 * length:g}" for length in box)
         volume = np.pi / 6.0 * float(np.sum(diameters**3))
         raise InputError(f"batches.particles = {wanted.particles}: those of batch {number} have {1e9 * volume:.3g} mm3,"
-                         f" {share:.3g} times what the densest packing at gap factor {wanted.gap_factor:g} holds in the "
-                         f"layer of {lx} x {ly} x {lz} mm; ask for fewer than {int(wanted.particles / share)} (at "
+                         f" {share:.3g} times what the densest packing at gap factor {wanted.gap_factor:g} holds in "
+                         f"the layer of {lx} x {ly} x {lz} mm; ask for fewer than {int(wanted.particles / share)} (at "
                          "random places about half of that fit), or a taller domain.particle_layer_height")
 
 
