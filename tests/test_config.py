@@ -73,6 +73,15 @@ def test_section4_is_the_papers():
 
 
 @pytest.mark.parametrize("name", library.names())
+def test_every_metal_of_the_library_melts(name):
+    """Fails when an entry loses its melting temperature: any start would then be taken up to ``HOTTEST``."""
+    scene = load_scene("splat", [f"material.name={name}"])
+    assert 900.0 < scene.melting_temperature < 3500.0
+    with pytest.raises(InputError, match="below the melting temperature"):
+        load_scene("splat", [f"material.name={name}", f"particles.temperature={scene.melting_temperature} K"])
+
+
+@pytest.mark.parametrize("name", library.names())
 def test_library_entries_are_complete_and_sourced(name):
     entry = material(name)
     assert 2000 < entry.density < 20000
@@ -292,6 +301,8 @@ def test_wrong_section_names_key_and_remedy(scene_file, section, words):
      ["--set particles.temperature:", "below the melting temperature", "1083 degC"]),
     (["material.name=copper-johnson-cook", "material.flow_stress.melting_temperature=290 K"],
      ["melting_temperature must be above reference_temperature"]),
+    (["material.flow_stress={model='elastic'}", "substrate.temperature=4001 K"],
+     ["--set substrate.temperature:", "must be at most 3727 degC", "no metal is solid"]),
     (["particles.direction=[0, 0, 0]"], ["particles.direction", "zero vector"]),
     (["particles.direction=[0, 0]"], ["particles.direction[2] is missing"]),
     (["batches.spheres=[['48 um', '48 um', '10 um', '15 um']]"], ["batches.spheres[0] spans -5 um to 25 um"]),

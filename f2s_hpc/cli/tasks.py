@@ -8,6 +8,7 @@ import pathlib
 
 from f2s_hpc import mpi, places
 from f2s_hpc.analysis.table import format_table
+from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
@@ -51,7 +52,7 @@ def check(scene: Scene) -> str:
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
                     more=[("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
                           ("imbalance", _balance_line(balance))])
-    return "\n".join([text, *(f"note: {message}" for message in plan.messages)])
+    return "\n".join([text, *(f"note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
 
 
 def _memory_line(scene: Scene, balance: Balance, plan: BatchPlan) -> str:
@@ -91,6 +92,8 @@ def run(scene: Scene, out: str) -> int:
     folder = runs.prepare_run_folder(out)
     _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
          f"{1e6 * scene.domain.cell_size:g} um on {mpi.size()} rank{'s' if mpi.size() > 1 else ''}, into {folder}")
+    for note in scene_notes(scene, plan):
+        _say(f"note: {note}")
     simulation.begin()
     with runs.hold(folder):
         return _finish(simulation, folder)

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from f2s_hpc.config.quantities import (
     Conductivity,
     Density,
+    ElasticModulus,
     InverseTemperature,
     Number,
     PositivePressure,
@@ -21,6 +22,8 @@ from f2s_hpc.config.quantities import (
     Temperature,
     wrong,
 )
+
+_NO_PART_IN_MODEL = "temperature at which nothing may start, K; the model itself does not use it"
 
 
 class GeFlowStress(Section):
@@ -38,6 +41,7 @@ class GeFlowStress(Section):
     room_temperature: Temperature = Field(description="temperature of no softening, K")
     reference_temperature: Temperature = Field(description="temperature of fastest softening, K")
     eta: InverseTemperature = Field(description="steepness of the thermal softening, 1/K")
+    melting_temperature: Temperature | None = Field(default=None, description=_NO_PART_IN_MODEL)
 
     @model_validator(mode="after")
     def _rates_in_order(self) -> GeFlowStress:
@@ -72,6 +76,7 @@ class LinearHardeningFlowStress(Section):
     model: Literal["linear_hardening"]
     yield_stress: PositivePressure = Field(description="initial yield stress, Pa")
     hardening_modulus: PressureOrZero = Field(description="slope over PEEQ, Pa")
+    melting_temperature: Temperature | None = Field(default=None, description=_NO_PART_IN_MODEL)
 
 
 class ElasticFlowStress(Section):
@@ -105,7 +110,7 @@ class Material(Section):
 
     name: str = Field(min_length=1, description='entry of the library that gives the defaults, or "custom"')
     density: Density = Field(description="density at zero pressure, kg/m3")
-    young_modulus: PositivePressure = Field(description="Young's modulus, Pa")
+    young_modulus: ElasticModulus = Field(description="Young's modulus, Pa")
     poisson_ratio: Number = Field(ge=0, lt=0.5, description="Poisson's ratio")
     specific_heat: SpecificHeat = Field(description="specific heat, J/kg/K")
     conductivity: Conductivity = Field(description="heat conductivity, W/m/K")

@@ -123,6 +123,13 @@ def _missing(loc: Location, key: str) -> str:
     return f"{text}; for example {key.rpartition('.')[2]} = {f'[{example}, ...]' if several else example}"
 
 
+def _bound(loc: Location, bound: float) -> str:
+    """Return a bound with its unit; behind one other than 0 a hint, as a wrong unit is what mostly leads there."""
+    info = _walk(loc)[2]
+    unit = _unit(info.annotation, info.metadata) if info and bound else None
+    return f"{units.pretty(bound, unit.dimension)}; is its unit right?" if unit else f"{bound:g}"
+
+
 def _value(value: object) -> str:
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -156,7 +163,7 @@ def _explain(problem: ErrorDetails) -> tuple[str, str]:
         return key, f"{shown}: has {context['actual_length']} values, {context['max_length']} are needed"
     if kind in _BOUNDS:
         word, bound = _BOUNDS[kind]
-        return key, f"{shown}: must be {word} {context[bound]:g}"
+        return key, f"{shown}: must be {word} {_bound(loc, context[bound])}"
     if kind in _KINDS:
         return key, f"{shown}: must be {_KINDS[kind]}"
     return key, f"{shown}: {problem['msg']}"

@@ -33,10 +33,12 @@ Speed = _quantity("speed", gt=0)
 SpeedCurvature = _quantity("speed curvature")
 Temperature = _quantity("temperature", ge=0)
 PositivePressure = _quantity("pressure", gt=0)
+ElasticModulus = _quantity("pressure", ge=1e6, le=1e13)  # rubber has 10 MPa, diamond 1.2 TPa
 PressureOrZero = _quantity("pressure", ge=0)
-Density = _quantity("density", gt=0)
-SpecificHeat = _quantity("specific heat", gt=0)
-Conductivity = _quantity("conductivity", ge=0)
+# no solid comes near these bounds, a wrong unit goes beyond them
+Density = _quantity("density", ge=100, le=30_000)
+SpecificHeat = _quantity("specific heat", ge=10, le=20_000)
+Conductivity = _quantity("conductivity", ge=0, le=1e5)
 Rate = _quantity("rate", gt=0)
 InverseTemperature = _quantity("inverse temperature", gt=0)
 

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from f2s_hpc import fields, units
-from f2s_hpc.config.material import JohnsonCookFlowStress, Material, MieGrueneisenPressure
+from f2s_hpc.config.material import Material, MieGrueneisenPressure
 from f2s_hpc.config.quantities import Section, wrong
 from f2s_hpc.config.sections import (
     Batches,
@@ -41,6 +41,8 @@ of 16.6 % of its energy; PEEQ and heights changed by under 0.5 %."""
 ONLY_WITH = {"internal_energy": 'material.pressure.model = "mie_grueneisen"', fields.ORIGIN: "output.origin = true",
              fields.LENT: "an absorbing side in domain.faces", "lost_energy": "numerics.loss_heating = true"}
 """What a scene must have for a field that not all have."""
+
+HOTTEST = 4000.0  # K: tungsten melts at 3695 K
 
 FASTEST = 1e5  # m/s: no gun comes near, and squares of speeds stay numbers
 
@@ -82,6 +84,9 @@ def _check_temperatures(scene: Scene) -> None:
                        ("substrate.temperature", scene.substrate.temperature)):
         if melting is not None and value >= melting:
             raise wrong(key, f"must be below the melting temperature ({units.pretty(melting, 'temperature')})")
+        if value > HOTTEST:
+            raise wrong(key, f"must be at most {units.pretty(HOTTEST, 'temperature')}, where no metal is solid; is its "
+                             "unit right?")
 
 
 def _check_speeds(scene: Scene) -> None:
@@ -185,6 +190,5 @@ class Scene(Section):
 
     @property
     def melting_temperature(self) -> float | None:
-        """Melting temperature, K, where the flow stress has one."""
-        flow = self.material.flow_stress
-        return flow.melting_temperature if isinstance(flow, JohnsonCookFlowStress) else None
+        """Melting temperature, K, where the flow stress is given one."""
+        return getattr(self.material.flow_stress, "melting_temperature", None)

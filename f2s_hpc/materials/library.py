@@ -49,7 +49,7 @@ _GE_COPPER = {
     "model": "ge", "sigma_y0": "39 MPa", "hardening_A": "320 MPa", "hardening_n": 0.41,
     "alpha": "7.5 MPa", "beta": "0.01 MPa", "rate_s": "0.001 1/s", "rate_u": "1e4 1/s",
     "high_rate_B": "110 MPa", "room_temperature": "25 degC", "reference_temperature": "350 degC",
-    "eta": "0.0043 1/K",
+    "eta": "0.0043 1/K", "melting_temperature": MELTING_COPPER,
 }
 
 _ENTRIES: dict[str, tuple[str, dict]] = {
@@ -65,12 +65,14 @@ _ENTRIES: dict[str, tuple[str, dict]] = {
         ("copper of the classic Taylor bar comparison (227 m/s), linear hardening: Simo 1992, Comput. Methods "
          "Appl. Mech. Eng. 99, 61-112; the thermal constants play no part in it"),
         _metal(8930, 117, 0.35, 385, 386, 0.9,
-               {"model": "linear_hardening", "yield_stress": "400 MPa", "hardening_modulus": "100 MPa"})),
+               {"model": "linear_hardening", "yield_stress": "400 MPa", "hardening_modulus": "100 MPa",
+                "melting_temperature": MELTING_COPPER})),
     "copper-piston": (
         ("copper of the elastic-plastic piston: Udaykumar et al. 2003, J. Comput. Phys. 186, 136-177; E and nu "
          "chosen so that G is exactly 45 GPa and K = rho c0^2; adiabatic, all plastic work is internal energy"),
         {**_metal(_PISTON_DENSITY, 1, 0, 385, 0, 1.0,
-                  {"model": "linear_hardening", "yield_stress": "90 MPa", "hardening_modulus": "0 Pa"}),
+                  {"model": "linear_hardening", "yield_stress": "90 MPa", "hardening_modulus": "0 Pa",
+                   "melting_temperature": MELTING_COPPER}),
          **_piston_elasticity(),
          "pressure": {"model": "mie_grueneisen", "sound_speed": "3940 m/s", "slope_s": 1.49, "gamma": 2.0}}),
     "aluminium-6061-t6": (

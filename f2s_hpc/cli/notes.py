@@ -1,0 +1,43 @@
+"""What is worth a word about a scene that is possible, but may not be what was meant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f2s_hpc.analysis.depth import weighted_percentiles
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.units import pretty
+
+LEAST_CELLS = 2.0
+"""With fewer cells to its diameter a particle is not resolved at all."""
+ROUNDED = 0.01
+"""A box that whole cells make longer or shorter by a larger share than this is worth a note."""
+
+
+def scene_notes(scene: Scene, plan: BatchPlan) -> list[str]:
+    """Return a line on each: a box that whole cells change much, particles that the cells do not resolve."""
+    return [*_rounded_sides(scene), *_coarse_cells(scene, plan)]
+
+
+def _rounded_sides(scene: Scene) -> list[str]:
+    domain, notes = scene.domain, []
+    for axis, asked, found, cells in zip("xyz", domain.size, domain.extents, domain.cells):
+        if abs(found - asked) > ROUNDED * asked:
+            notes.append(f"domain.size along {axis}: {pretty(asked, 'length')} are {asked / domain.cell_size:.3g} "
+                         f"cells of {pretty(domain.cell_size, 'length')}; the box has {cells}, so it is "
+                         f"{pretty(found, 'length')} there")
+    return notes
+
+
+def _coarse_cells(scene: Scene, plan: BatchPlan) -> list[str]:
+    median = scene.batches.median_diameter
+    if scene.batches.source == "files":
+        diameters = 2.0 * np.concatenate([batch.r for batch in plan.batches])
+        median = float(weighted_percentiles(diameters, diameters**3, (0.5,))[0])
+    cells = median / scene.domain.cell_size
+    if cells >= LEAST_CELLS * (1.0 - 1e-9):
+        return []
+    return [(f"domain.cell_size: the median particle ({pretty(median, 'length')}) has {cells:.2g} cells to its "
+             f"diameter; below {LEAST_CELLS:g} no impact is resolved, with {pretty(0.2 * median, 'length')} there are 5, with "
+             f"{pretty(0.1 * median, 'length')} 10")]
