@@ -138,7 +138,7 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
 
 @pytest.mark.mpi
 def test_coarse_cells_and_a_box_of_another_size_are_told(capsys, workplace):
-    """The spheres have 10 and 9 um, their median 19 um. Fails when ``check`` leaves ``scene_notes`` out."""
+    """The spheres have 10 and 9 um, their median 19 um. Fails when ``check`` or ``run`` leaves ``scene_notes`` out."""
     text = (workplace / "two.toml").read_text(encoding="utf-8")
     if mpi.is_root():
         coarse = text.replace('cell_size = "4 um"', 'cell_size = "10 um"').replace('"56 um"', '"54 um"')
@@ -150,6 +150,9 @@ def test_coarse_cells_and_a_box_of_another_size_are_told(capsys, workplace):
         assert "note: domain.size along x: 36 um are 3.6 cells of 10 um; the box has 4, so it is 40 um there" in out
         assert "along y" not in out
         assert "note: domain.cell_size: the median particle (19 um) has 1.9 cells to its diameter" in out
+        assert main(["run", "coarse.toml", "--out", str(workplace / "coarse")]) == 0
+        out = capsys.readouterr().out
+        assert out.count("note: domain.size along x") == out.count("note: domain.cell_size") == 1
         assert main(["check", "two.toml"]) == 0
         assert "note: domain" not in capsys.readouterr().out
 

@@ -110,6 +110,31 @@ def test_settings_reach_what_they_set():
     assert (found.porosity.image.sections, found.porosity.image.smallest) == (6, 1)
 
 
+def test_layers_are_as_thick_as_whole_cells_and_say_so():
+    """Fails when the title gives what was asked for (``real = wanted``); the table has layers of 8 um."""
+    found = measure(made(), dataclasses.replace(SETTINGS, layer=7.3e-6))
+    table = depth_tables([("", found)])[0]
+    assert table.title.endswith("in layers of 8 µm (whole cells; 7.3 µm were asked for)")
+    assert table.rows[-1][0] == "-20 to -16 µm"
+    assert table.rows[-2][0] == "-16 to -8 µm"
+    plain = depth_tables([("", measure(made(), SETTINGS))])[0]
+    assert plain.title.endswith("in layers of 10 µm")
+
+
+def test_the_help_gives_the_defaults_that_hold(capsys):
+    """Fails when ``--help`` leaves out the two cells of the surface zone, or the whole cells of the layers."""
+    with pytest.raises(SystemExit):
+        main(["analyse", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "half the median particle diameter, but at least two cells" in said
+    assert "rounded to whole cells, at least one" in said
+    assert "it runs over y and is mirrored at y = 0" in said
+    assert "--no-symmetric" in said
+    small = Batch(*(np.full(1, 3e-5) for _ in range(3)), np.full(1, 3e-6))
+    coarse = measure(dataclasses.replace(made(), batches=[small]), SETTINGS)
+    assert coarse.porosity.zone == 2.0 * DX
+
+
 def test_the_profile_is_moved_onto_the_experiment_if_asked_to():
     """A scan with another zero; fails when ``align`` does not reach ``overlap``, or the two change places."""
     deposit = made()

@@ -55,6 +55,11 @@ def weighted_percentiles(values: np.ndarray, weights: np.ndarray, shares: Sequen
     return np.interp(np.asarray(shares) * cumulative[-1], cumulative - 0.5 * weights, values)
 
 
+def layer_cells(layer: float, dx: float) -> int:
+    """Return how many cells thick layers of about ``layer`` (m) are, at least one; ``dx``: cell size (m)."""
+    return max(1, round(layer / dx))
+
+
 def depth_distribution(field: np.ndarray, weight: np.ndarray, dx: float, substrate_height: float,
                        layer: float = 10e-6, shares: tuple[float, ...] = SHARES) -> DepthDistribution:
     """Return the distribution of ``field`` over the height above the substrate top, down into the substrate.
@@ -69,7 +74,7 @@ def depth_distribution(field: np.ndarray, weight: np.ndarray, dx: float, substra
                          "(nz, ny, nx)")
     if not layer > 0.0:
         raise InputError(f"distribution by depth: layers of {1e6 * layer:g} um; they must be thicker than nothing")
-    nz, thick, ground = field.shape[0], max(1, round(layer / dx)), math.ceil(substrate_height / dx - 1e-6)
+    nz, thick, ground = field.shape[0], layer_cells(layer, dx), math.ceil(substrate_height / dx - 1e-6)
     first = ground - thick * (ground // thick + (1 if ground % thick else 0))
     rows = []
     for start in range(first, nz, thick):

@@ -47,13 +47,15 @@ def _settings_arguments(sub: argparse.ArgumentParser) -> None:
                           "and is mirrored at y = 0), or do not (default: mirror it where that side is a symmetry side "
                           "and the scene centres its spray there)")
     sub.add_argument("--surface-zone", metavar="LENGTH",
-                     help="what porosity leaves out below the surface (default: half the median particle diameter)")
+                     help="what porosity leaves out below the surface (default: half the median particle diameter, but "
+                          "at least two cells)")
     sub.add_argument("--sections", type=int, metavar="N", default=10,
                      help="sections along x, and along y, for image porosity (default: 10)")
     sub.add_argument("--smallest-pore", type=int, metavar="N", default=4,
                      help="pixels of the smallest pore of image analysis (default: 4)")
     sub.add_argument("--layer", metavar="LENGTH", default="10 um",
-                     help='thickness of the layers of the distributions (default: "10 um")')
+                     help='thickness of the layers of the distributions, rounded to whole cells, at least one; what it '
+                          'became stands above them (default: "10 um")')
     sub.add_argument("--prominence", type=float, metavar="SHARE",
                      help="how far a ridge of PEEQ rises above the basins beside it to be a particle boundary, over "
                           "its own PEEQ (default: 0.15)")

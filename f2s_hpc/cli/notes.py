@@ -39,5 +39,5 @@ def _coarse_cells(scene: Scene, plan: BatchPlan) -> list[str]:
     if cells >= LEAST_CELLS * (1.0 - 1e-9):
         return []
     return [(f"domain.cell_size: the median particle ({pretty(median, 'length')}) has {cells:.2g} cells to its "
-             f"diameter; below {LEAST_CELLS:g} no impact is resolved, with {pretty(0.2 * median, 'length')} there are 5, with "
-             f"{pretty(0.1 * median, 'length')} 10")]
+             f"diameter; below {LEAST_CELLS:g} no impact is resolved, with {pretty(0.2 * median, 'length')} there "
+             f"are 5, with {pretty(0.1 * median, 'length')} 10")]

@@ -142,7 +142,7 @@ def as_dictionary(found: Measurements) -> dict:
         "run": str(deposit.folder), "scene": deposit.scene.title, "source": deposit.source.name,
         "cycle": deposit.cycle, "time_s": deposit.time, "cell_size_m": deposit.dx,
         "cutoff_m": found.settings.cutoff, "track_along": found.settings.along,
-        "profile_mirrored": found.settings.symmetric,
+        "profile_mirrored": found.settings.symmetric, "layer_m": found.layer,
         "surface_zone_m": found.porosity.zone if found.porosity else None, "paper_height_m": found.paper_height,
         **{q.key: q.value for q in quantities(found)}, "notes": found.notes}
     if found.areal is not None:

@@ -93,6 +93,11 @@ class Measurements:
     traced: TracedParticles | None = None
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def layer(self) -> float:
+        """Thickness (m) of the layers of the distributions: that of the settings in whole cells."""
+        return depth.layer_cells(self.settings.layer, self.deposit.dx) * self.deposit.dx
+
 
 def deposit_percentiles(found: Measurements, name: str) -> np.ndarray:
     """Return the percentiles (at ``depth.SHARES``) of a field in the whole deposit; NaN while nothing has landed."""

@@ -314,6 +314,13 @@ def _both(texts: Sequence[str | None], labels: Sequence[str]) -> str:
                                       for n, (text, label) in enumerate(there))
 
 
+def _thickness(found: Measurements) -> str:
+    """Return how thick the layers of the distributions are, and if that is not what was asked for, why."""
+    wanted, real = found.settings.layer, found.layer
+    asked = "" if abs(real - wanted) < 1e-6 * wanted else f" (whole cells; {1e6 * wanted:g} µm were asked for)"
+    return f", in layers of {1e6 * real:g} µm{asked}"
+
+
 def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
     """Return PEEQ, temperature and stress by depth as tables, from the top down, in the layers of the first run.
 
@@ -342,5 +349,6 @@ def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
             rows.append(line)
         head = (["height", "median", "5 %", "95 %"] if len(runs) == 1
                 else ["height", *(label for label, _ in runs), "difference"])
-        result.append(Table(f"{title} by height above the substrate top, median by volume", head, rows[::-1]))
+        layers = _thickness(runs[0][1])
+        result.append(Table(f"{title} by height above the substrate top, median by volume{layers}", head, rows[::-1]))
     return result
