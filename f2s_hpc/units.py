@@ -120,7 +120,7 @@ def parse(text: str, dimension: str) -> float:
     hint = f'write for example "{want.example}"'
     if not isinstance(text, str):
         if isinstance(text, (int, float)) and not isinstance(text, bool):
-            raise UnitError(f'a {want.name} needs a unit: {hint} or "{text} {want.example.split(" ", 1)[1]}"')
+            raise UnitError(_needs_unit(text, want, hint))
         raise UnitError(f"expected a {want.name} with its unit as text: {hint}")
     match = _QUANTITY.fullmatch(text)
     if match is None:
@@ -133,11 +133,17 @@ def parse(text: str, dimension: str) -> float:
         raise UnitError(f"the exponent of this number is out of range: {hint}") from None
 
 
+def _needs_unit(number: object, want: Dimension, hint: str) -> str:
+    """Return what to say of a number without a unit: the example, and the number with the unit of the example."""
+    meant = f"{number} {want.example.split(' ', 1)[1]}"
+    return f"a {want.name} needs a unit: {hint}" + (f' or "{meant}"' if meant != want.example else "")
+
+
 def _si_value(digits: str, unit: str, want: Dimension, hint: str) -> float:
     """Return the SI value of a number and its unit as :func:`parse` does; ``hint`` ends every message."""
     number = Decimal(digits)
     if not unit:
-        raise UnitError(f'a {want.name} needs a unit: {hint} or "{digits} {want.example.split(" ", 1)[1]}"')
+        raise UnitError(_needs_unit(digits, want, hint))
     if unit in _CELSIUS:
         if want.name != "temperature":
             raise UnitError(f"this is a temperature, but a {want.name} is needed: {hint}")
@@ -189,6 +195,11 @@ def pretty(value: float, dimension: str, digits: int = 4) -> str:
     if dimension == "temperature":
         return f"{value - float(ZERO_CELSIUS):.{digits}g} degC"
     return show(float(f"{value:.{digits}g}"), dimension)
+
+
+def count_text(number: int, noun: str) -> str:
+    """Return a number of things for people: "1 particle", "10,236 particles"."""
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")
 
 
 def pretty_bytes(count: float) -> str:

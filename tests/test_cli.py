@@ -372,6 +372,15 @@ def test_inspect_prints_the_cycle_table(capsys, finished):
     assert len(rows) == 1
     assert rows[0][1:3] == ["0.020", str(summary["steps"])]
     assert f"{1e6 * summary['dense_height_m']:.1f}" in rows[0]
+    assert lines[-1].startswith("dense: height of all mass")
+
+
+def test_one_of_a_kind_is_no_plural(capsys, tmp_path):
+    """Fails when ``count_text`` always adds its "s"."""
+    (tmp_path / "summary.json").write_text('{"scene": "x", "status": "complete", "particles": 1, "ranks": 1}')
+    (tmp_path / "summary.csv").write_text("cycle,particles\n1,1\n")
+    assert main(["inspect", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.startswith("x: complete, 1 particle, 1 rank\n")
 
 
 def test_inspect_and_compare_refuse_what_is_no_run(capsys, tmp_path):

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 
 import numpy as np
 import pytest
 from conftest import F2S, f2s, launch
+from matplotlib.text import Text
 from test_cli import SCENE
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis import picture, stream
+from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene
 from f2s_hpc.cycles import output
 from f2s_hpc.cycles.output import RunFolder
@@ -180,3 +184,22 @@ def test_a_signal_to_any_rank_is_the_reason_on_all(name):
     finally:
         for number, handler in zip(numbers, before):
             signal.signal(number, handler)
+
+
+def test_all_figures_write_the_micrometre_alike(tmp_path, monkeypatch):
+    """Fails when the picture of a run, of its batches, or of a measured stream has "um" or "us" for µm or µs."""
+    texts = []
+
+    def keep(figure, path, what):
+        texts.append([text.get_text() for text in figure.findobj(Text)])
+
+    for module in (picture, stream):
+        monkeypatch.setattr(module, "save", keep)
+    (tmp_path / "short.toml").write_text(SCENE, encoding="utf-8")
+    assert main(["run", str(tmp_path / "short.toml"), "--out", str(tmp_path / "run")]) == 0
+    assert main(["particles", str(tmp_path / "short.toml"), "--out", str(tmp_path / "batches")]) == 0
+    assert main(["stream", "synthetic", "--out", str(tmp_path / "stream")]) == 0
+    assert len(texts) == 3
+    for of_figure in texts:
+        assert any("µm" in text for text in of_figure)
+        assert not any(re.search(r"\bu[ms]\b", text) for text in of_figure)

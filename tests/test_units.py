@@ -64,3 +64,12 @@ def test_rounded_numbers_for_people():
     assert pretty_bytes(100) == "100 B"
     assert pretty_bytes(33.75 * 2**20) == "33.8 MiB"
     assert pretty_bytes(3 * 2**40) == "3.0 TiB"
+
+
+@pytest.mark.parametrize("number", [615, "615"])
+def test_a_number_without_unit_is_told_what_it_may_mean_once(number):
+    """Fails when ``_needs_unit`` does not look whether the two suggestions are the same."""
+    with pytest.raises(UnitError, match=r'needs a unit: write for example "615 m/s"$'):
+        parse(number, "speed")
+    with pytest.raises(UnitError, match=r'write for example "615 m/s" or "400 m/s"$'):
+        parse(400 if number == 615 else "400", "speed")

@@ -13,6 +13,7 @@ from f2s_hpc.analysis.depth import DepthDistribution
 from f2s_hpc.analysis.flattening import Flattening, Regression
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import mean_line
+from f2s_hpc.units import count_text
 
 LEAST_FILL = 0.03
 HEIGHT_SHARES = (2.0, 98.0)
@@ -136,9 +137,9 @@ def flattening_figure(path: str | os.PathLike,
         for number, (label, found, fits) in enumerate(runs):
             colour = look.SERIES[number]
             for axes, (x, key) in zip(panels, ((found.width, "equation_5"), (found.diameter, "equation_6"))):
-                name = f"{label}, " if label else ""
+                name, many = f"{label}, " if label else "", count_text(found.count, "particle")
                 axes.scatter(x * MICRO, getattr(found, key), s=14 if found.count < 500 else 5, color=colour,
-                             alpha=0.6, linewidth=0, label=f"{name}{found.count} particles {source}".strip())
+                             alpha=0.6, linewidth=0, label=f"{name}{many} {source}".strip())
                 fit = fits[key]
                 if fit is None:
                     continue

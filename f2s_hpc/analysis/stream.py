@@ -92,7 +92,7 @@ def draw_stream(fit: StreamFit, path: str | os.PathLike) -> None:
         _draw_scatter(axes[0, 1], 1e3 * position, measured.velocity, fit.speed, lambda x: 1e-3 * x - centre,
                       ("(b) Velocity over lateral position", "lateral position (mm)", "velocity (m/s)"))
         _draw_scatter(axes[1, 0], 1e6 * measured.diameter, measured.velocity, fit.size, lambda d: 1e-6 * d,
-                      ("(c) Velocity over diameter", "diameter (um)", "velocity (m/s)"))
+                      ("(c) Velocity over diameter", "diameter (µm)", "velocity (m/s)"))
         if fit.lateral is None:
             axes[1, 1].axis("off")
             axes[1, 1].text(0.5, 0.5, "lateral velocity was not measured", ha="center", color=_GREY,
@@ -123,7 +123,7 @@ def draw_batches(batches: Sequence[Batch], size_x: float, speed: float, path: st
             axes[0, 1].plot(1e3 * batch.x, speeds, ".", markersize=2.0, color=f"C{(number - 1) % 10}")
         if len(batches) <= 10:
             axes[0, 0].legend(fontsize=7, frameon=False)
-        _label(axes[0, 0], "(a) Number over x", "x (mm)", f"particles per {1e3 * (edges[1] - edges[0]):.3g} um")
+        _label(axes[0, 0], "(a) Number over x", "x (mm)", f"particles per {1e3 * (edges[1] - edges[0]):.3g} µm")
         _label(axes[0, 1], "(b) Speed over x", "x (mm)", "speed (m/s)")
         save(figure, pathlib.Path(path), "plot")
 

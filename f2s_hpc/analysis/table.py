@@ -50,6 +50,11 @@ COLUMNS: tuple[Column, ...] = (
 )
 
 
+TABLE_KEY = ("dense: height of all mass in the box, without pores and at no pressure; 'f2s analyse' has that by volume "
+             "fraction")
+"""What the table means where another one of the same name is about."""
+
+
 def format_table(rows: Sequence[Mapping[str, str | float | None]]) -> str:
     """Return the cycle table as text: three header lines, a rule, and a line per row of ``summary.csv``.
 

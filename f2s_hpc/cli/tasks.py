@@ -7,7 +7,7 @@ import os
 import pathlib
 
 from f2s_hpc import mpi, places
-from f2s_hpc.analysis.table import format_table
+from f2s_hpc.analysis.table import TABLE_KEY, format_table
 from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
@@ -21,7 +21,7 @@ from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.io.manifest import text_digest
 from f2s_hpc.particles.batch import BatchPlan, clipped_volume, make_batches, write_csv
-from f2s_hpc.units import pretty_bytes
+from f2s_hpc.units import count_text, pretty_bytes
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import Balance, balance_of_run
 
@@ -91,7 +91,7 @@ def run(scene: Scene, out: str) -> int:
     simulation = Simulation(scene, runs.check_new_folder(out), plan)
     folder = runs.prepare_run_folder(out)
     _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
-         f"{1e6 * scene.domain.cell_size:g} um on {mpi.size()} rank{'s' if mpi.size() > 1 else ''}, into {folder}")
+         f"{1e6 * scene.domain.cell_size:g} um on {count_text(mpi.size(), 'rank')}, into {folder}")
     for note in scene_notes(scene, plan):
         _say(f"note: {note}")
     simulation.begin()
@@ -134,7 +134,7 @@ def _resume(folder: str, overrides: list[str]) -> int:
         _say(f"{path}: all {scene.cycles.count} cycles are done, nothing is left to run")
     else:
         _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
-             f"{1e6 * clock.time:.4f} us, on {mpi.size()} ranks")
+             f"{1e6 * clock.time:.4f} us, on {count_text(mpi.size(), 'rank')}")
     return _finish(simulation, folder)
 
 
@@ -213,11 +213,16 @@ def _written_batches(scene: Scene, plan: BatchPlan, folder: pathlib.Path) -> lis
         path = folder / f"batch-{number:02d}.csv"
         write_csv(path, batch)
         volume = clipped_volume(batch, x, y, z)
-        lines.append(f"{path}: {batch.count} spheres, {1e6 * volume / (x * y):.2f} um of dense height")
+        lines.append(f"{path}: {count_text(batch.count, 'sphere')}, {1e6 * volume / (x * y):.2f} um of dense height")
     from f2s_hpc.analysis.stream import draw_batches  # (scipy.stats: 30 MB that a run has no use for)
 
     draw_batches(plan.batches, scene.domain.size[0], scene.particles.speed, folder / BATCH_PICTURE)
     return [*lines, f"picture {folder / BATCH_PICTURE}"]
+
+
+def _counted(number: object, noun: str) -> str:
+    """Return a number of a summary, which may be damaged, with its noun."""
+    return count_text(number, noun) if isinstance(number, int) else f"{number} {noun}s"
 
 
 def inspect(folder: str) -> int:
@@ -232,8 +237,8 @@ def inspect(folder: str) -> int:
             table = format_table(runs.read_cycle_table(folder))
         except InputError as error:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_CSV}: {error}") from None
-        return (f"{summary['scene']}: {summary['status']}, {summary['particles']} particles, {summary['ranks']} ranks\n"
-                + table)
+        return (f"{summary['scene']}: {summary['status']}, {_counted(summary['particles'], 'particle')}, "
+                f"{_counted(summary['ranks'], 'rank')}\n{table}\n{TABLE_KEY}")
 
     _say(mpi.run_together(read))
     return 0

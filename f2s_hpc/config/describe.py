@@ -10,7 +10,7 @@ import numpy as np
 from f2s_hpc import fields
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.units import pretty, pretty_bytes
+from f2s_hpc.units import count_text, pretty, pretty_bytes
 
 
 def quiet_time_step(scene: Scene) -> float:
@@ -58,22 +58,18 @@ def particle_count(scene: Scene) -> int | None:
     return per_batch * (batches.number if scene.scheme == "standard" else scene.cycles.count)
 
 
-def _count(number: float, noun: str) -> str:
-    return f"{number:,} {noun}" + ("" if number == 1 else "s")
-
-
 def _grid(cells: Sequence[int]) -> str:
     return " x ".join(str(n) for n in cells)
 
 
 def _particles_line(scene: Scene, particles: int | None, painted_volume: float | None) -> str:
     batches = scene.batches
-    text = {"files": f"{_count(batches.number, 'batch file')}",
-            "spheres": f"{_count(len(batches.spheres), 'listed sphere')}",
-            "generated": f"batches to generate: {batches.number:,} of {_count(batches.particles, 'particle')}, "
+    text = {"files": f"{count_text(batches.number, 'batch file')}",
+            "spheres": f"{count_text(len(batches.spheres), 'listed sphere')}",
+            "generated": f"batches to generate: {batches.number:,} of {count_text(batches.particles, 'particle')}, "
                          f"seed {batches.seed}{_spread(scene)}"}[batches.source]
     total = particle_count(scene) if particles is None else particles
-    text += "" if total is None else f"; {_count(total, 'particle')} in the whole run"
+    text += "" if total is None else f"; {count_text(total, 'particle')} in the whole run"
     if painted_volume is not None:
         area = scene.domain.extents[0] * scene.domain.extents[1]
         text += (f"; painted volume {pretty(painted_volume, 'volume')}, "
@@ -121,7 +117,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         *_parts(cells_per_rank),
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("speed", _speed(scene)),
-        ("cycles", f"{_count(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
+        ("cycles", f"{count_text(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
         ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "
                        f"{scene.material.longitudinal_sound_speed:.0f} m/s)")),
         ("steps", f"about {math.ceil(total / step):,}"),

@@ -29,6 +29,7 @@ from f2s_hpc.io.tracers import TracerCloud
 from f2s_hpc.particles.batch import BatchPlan, flight_speed, read_csv, write_csv
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
+from f2s_hpc.units import count_text
 
 PICTURE = "deposit.png"
 BATCHES, ORDER = "batches", "order.json"
@@ -172,9 +173,10 @@ class RunFolder:
         # (an older run may have been resumed with other fields than its frames have)
         fields, _ = runs.open_frame(self.path, numbers[-1], PICTURE_FIELDS)
         domain, flying = self.scene.domain, summary.get("particles_in_flight", 0)
+        landed = count_text(summary["particles"] - flying, "particle")
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
-                     f"{summary['particles'] - flying} particles, {1e6 * summary['time_s']:.2f} us, dense height "
-                     f"{1e6 * summary['dense_height_m']:.1f} um, cells of {1e6 * domain.cell_size:g} um", path,
+                     f"{landed}, {1e6 * summary['time_s']:.2f} µs, dense height "
+                     f"{1e6 * summary['dense_height_m']:.1f} µm, cells of {1e6 * domain.cell_size:g} µm", path,
                      slow_speed=LANDED * flight_speed(plan.batches, self.scene.top_speed))
 
 

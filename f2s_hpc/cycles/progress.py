@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
+
+ETA_SHARE = 0.02
+"""Share of a session's work after which the rest can be foretold; the first steps say little about it."""
 
 
 def clock_text(seconds: float) -> str:
@@ -22,7 +26,8 @@ class Progress:
     """Progress lines of rank 0; silent elsewhere.
 
     ``total_time``, ``done_time``: simulated time of the whole run and at the start of this session (s); ``interval``:
-    wall time between lines (s); ``under_launcher``: started by mpirun. The estimated end counts only this session.
+    wall time between lines (s); ``under_launcher``: started by mpirun. The estimated end counts only this session, from
+    its first step on (which may have compiled the kernels), and is left out until ``ETA_SHARE`` of it is done.
     """
 
     def __init__(self, speaks: bool, total_time: float, done_time: float, interval: float,
@@ -30,7 +35,8 @@ class Progress:
         self.speaks = speaks
         self.total_time, self.done_time = total_time, done_time
         self.interval = interval
-        self.start = self.last = time.monotonic()
+        self.last = time.monotonic()
+        self.start: float | None = None  # end of the first step
         # mpirun gives rank 0 a terminal of its own, whatever its output goes to
         self.on_terminal = speaks and sys.stdout.isatty() and not under_launcher
         self._open_line = False
@@ -51,23 +57,32 @@ class Progress:
             self.speaks = self.on_terminal = False
             silence()
 
-    def step(self, clock, cycle: int, cycles: int, duration: float) -> None:
-        """Report the present step when it is time to."""
+    def step(self, clock, cycle: int, cycles: int, duration: float,
+             in_flight: Callable[[], float] = lambda: 0.0) -> None:
+        """Report the present step when it is time to; ``in_flight``: the fastest particle not on the grid yet (m/s)."""
         if not self.speaks:
             return
         now = time.monotonic()
+        if self.start is None:
+            self.start, self.done_time = now, clock.time
         if now - self.last < (0.5 if self.on_terminal else self.interval):
             return
         self.last = now
         share = clock.time / self.total_time
-        passed = clock.time - self.done_time
-        left = (now - self.start) * (self.total_time - clock.time) / passed if passed > 0.0 else 0.0
+        fastest = max(clock.limits.heavy_speed, in_flight())
         text = (f"cycle {cycle + 1}/{cycles}  {1e9 * clock.in_cycle:7.1f} of {1e9 * duration:.0f} ns"
                 f"  step {clock.steps}  dt {1e12 * clock.dt:.0f} ps ({clock.limit})"
-                f"  fastest {clock.limits.heavy_speed:.0f} m/s  {100.0 * share:5.1f} %  ETA {clock_text(left)}")
+                f"  fastest {fastest:.0f} m/s  {100.0 * share:5.1f} %{self._eta(now, clock.time)}")
         if self.on_terminal:
             bar = ("#" * int(20 * share)).ljust(20, ".")
             self._write(f"\r[{bar}] {text}\033[K")
             self._open_line = True
         else:
             self.say(text)
+
+    def _eta(self, now: float, simulated: float) -> str:
+        """Return the time that is left, as the line ends with it; nothing while it cannot be told."""
+        passed, left = simulated - self.done_time, self.total_time - simulated
+        if passed <= 0.0 or passed < ETA_SHARE * (passed + left):
+            return ""
+        return f"  ETA {clock_text((now - self.start) * left / passed)}"

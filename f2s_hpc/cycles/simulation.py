@@ -24,6 +24,7 @@ from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import BatchPlan, flight_speed
 from f2s_hpc.solver.step import Clock, advance
+from f2s_hpc.units import count_text
 from f2s_hpc.workload.balance import balance_of_run
 
 REMAPS_PER_RELEASE = 64
@@ -180,7 +181,7 @@ class Simulation:
                 self.startup = measure.process_age(), measure.peak_memory()
             if clock.remaps % REMAPS_PER_RELEASE == 0:
                 self.state.release_empty()
-            self.progress.step(clock, self.cycle, self.scene.cycles.count, duration)
+            self.progress.step(clock, self.cycle, self.scene.cycles.count, duration, self._fastest_in_flight)
             goes_on = clock.in_cycle < duration * (1.0 - 1e-12)
             if self._intervals() > self.intervals:
                 self.intervals = self._intervals()
@@ -202,6 +203,11 @@ class Simulation:
         if message:
             self.progress.say(f"cycle {self.cycle + 1}: {message}")
         return report
+
+    def _fastest_in_flight(self) -> float:
+        """Return the highest speed (m/s) of the spheres that are not on the grid yet; 0 without any."""
+        flight = self.supply.flight
+        return float(np.linalg.norm(flight.velocity, axis=1).max()) if flight is not None and flight.count else 0.0
 
     def _intervals(self) -> int:
         """Return how many frame intervals have gone by; round-off at the end of one does not put it off."""
@@ -231,8 +237,8 @@ class Simulation:
         p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
         t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"
         self.progress.say(
-            f"cycle {self.cycle}/{self.scene.cycles.count} done: {row['particles']} particles, dense height "
-            f"{1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
+            f"cycle {self.cycle}/{self.scene.cycles.count} done: {count_text(row['particles'], 'particle')}, dense "
+            f"height {1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
             f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
             f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
             + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))

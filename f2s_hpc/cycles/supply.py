@@ -57,7 +57,8 @@ class Supply:
         raised = self.flight.launch(self.state, batch.raised(self.scene.domain.layer_bottom),
                                     self.scene.particles.velocity, self.clock.time)
         report = InsertReport(spheres=batch.count, moved=raised, positions=join([]))
-        return report, f"{raised} spheres start higher to clear what is in their place" if raised else ""
+        return report, (f"{raised} {'sphere starts' if raised == 1 else 'spheres start'} higher to clear what is in "
+                        f"{'its' if raised == 1 else 'their'} place") if raised else ""
 
     def land(self) -> Batch | None:
         """Put the spheres that are about to meet something onto the grid; return them, None if there are none."""

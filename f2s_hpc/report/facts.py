@@ -14,7 +14,7 @@ from f2s_hpc.io import runs as run_files
 from f2s_hpc.report.handover import Handover
 from f2s_hpc.report.measure import Measurements, deposit_percentiles, median_diameter
 from f2s_hpc.report.quantities import Table, percent
-from f2s_hpc.units import pretty, pretty_bytes
+from f2s_hpc.units import count_text, pretty, pretty_bytes
 
 Runs = Sequence[tuple[str, Measurements]]
 
@@ -30,7 +30,8 @@ METHODS = (
     ("Heights count from the substrate top as painted. The surface of a column is the top of its highest cell that "
      "is at least half full of landed material, plus what lies in the cell above (sub-cell, from volume fractions). "
      "Landed is what is slower than a third of the particles and attached to the substrate. Dense-equivalent is the "
-     "height of all material in the box without pores."),
+     "height of all material in the box without pores, by volume fraction; that of the cycle table is by mass at the "
+     "density of no pressure, which differs by what heat and stress change of the density."),
     ("Roughness: Gaussian filter of ISO 16610-21 with the cutoff stated; along an axis with symmetry on both "
      "sides the profile is continued as its mirror image, which is exact there, else the weights are renormalised, so "
      "no length is lost. A value holds for its cutoff and length only."),
@@ -57,9 +58,9 @@ TRACER_METHOD = (
 
 def subtitle(runs: Runs) -> str:
     """Return one line: cycles, time and particles of each run."""
-    return "; ".join(f"{label + ': ' if label else ''}{m.deposit.diameters.size} particles, cycle {m.deposit.cycle} of "
-                     f"{m.deposit.scene.cycles.count}, {1e6 * m.deposit.time:.3f} µs, cells of "
-                     f"{1e6 * m.deposit.dx:g} µm" for label, m in runs)
+    return "; ".join(f"{label + ': ' if label else ''}{count_text(m.deposit.diameters.size, 'particle')}, "
+                     f"cycle {m.deposit.cycle} of {m.deposit.scene.cycles.count}, {1e6 * m.deposit.time:.3f} µs, "
+                     f"cells of {1e6 * m.deposit.dx:g} µm" for label, m in runs)
 
 
 def _rows(runs: Runs, entries: Sequence[tuple[str, Callable[[Measurements], str]]]) -> Table:
@@ -169,8 +170,8 @@ def handover_text(found: Handover | None) -> str:
     """Return what the check of the hand-over found, as one sentence."""
     if found is None:
         return "not checked: no checkpoint at the end of a cycle that another one follows, or left out"
-    where = (f"cycle {found.cycle} to {found.cycle + 1}, {found.particles} particles painted, {found.new_cells:,} of "
-             f"{found.cells:,} cells touched by them")
+    where = (f"cycle {found.cycle} to {found.cycle + 1}, {count_text(found.particles, 'particle')} painted, "
+             f"{found.new_cells:,} of {found.cells:,} cells touched by them")
     if not found.checked and not found.different:
         return f"not checked: after cycle {found.cycle} no new sphere touches a cell of the box"
     if found.exact:
@@ -208,8 +209,9 @@ def traced_finding(found: Measurements) -> str:
     flat = found.traced.flattening
     if not flat.count:
         return "No particle that was traced is whole and in the deposit"
-    text = (f"by tracers {flat.count} particles have a mean W/H of {np.nanmean(flat.equation_5):.3f} and W/D of "
-            f"{np.nanmean(flat.equation_6):.3f}")
+    have = "has" if flat.count == 1 else "have"
+    text = (f"by tracers {count_text(flat.count, 'particle')} {have} a mean W/H of {np.nanmean(flat.equation_5):.3f} "
+            f"and W/D of {np.nanmean(flat.equation_6):.3f}")
     fit = found.traced.fits["exact_6"]
     if fit is not None:
         low, high = (float(fit.line(edge(flat.true_diameter[np.isfinite(flat.width)]))) for edge in (np.min, np.max))

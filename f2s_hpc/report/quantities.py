@@ -75,7 +75,7 @@ def quantities(found: Measurements) -> list[Quantity]:
 
 def _heights(found: Measurements) -> list[Quantity]:
     group, paper = "Height above the substrate top", found.paper_height
-    names = {"dense": "dense-equivalent", "mean": "mean surface", "median": "median surface",
+    names = {"dense": "dense-equivalent, by volume fraction", "mean": "mean surface", "median": "median surface",
              "p95": "95th percentile of the surface", "maximum": "maximum of the surface"}
     return [_length(group, f"height_{key}", name, found.heights[key], paper) for key, name in names.items()]
 
