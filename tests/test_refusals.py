@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 
@@ -85,7 +86,7 @@ def test_particles_that_never_come_down_are_told(tmp_path):
 def test_a_slow_particle_in_flight_has_not_landed(tmp_path, run_f2s):
     """A sphere at 55 m/s among those of 600 is no deposit while it flies, in the cycle table as in the report.
 
-    Fails if either takes a tenth of the fastest particle's speed, which 55 m/s is below.
+    Fails if what has landed need not be attached, and is told by a third of the fastest particle's speed.
     """
     (tmp_path / "two.csv").write_text(TWO_SPEEDS, encoding="ascii")
     done = run_f2s(["run", "quickstart", "--out", "slow", *SMALL, "--set", "batches.count=0", "--set",
@@ -94,7 +95,7 @@ def test_a_slow_particle_in_flight_has_not_landed(tmp_path, run_f2s):
     assert done.returncode == 0, done.stderr
     assert runs.read_summary(tmp_path / "slow")["height_max_m"] == 0.0
     measured = run_f2s(["analyse", "slow", "--no-handover"])
-    assert "maximum of the surface            µm       0.00" in measured.stdout
+    assert re.search(r"maximum of the surface +µm +0\.00\b", measured.stdout)
 
 
 def test_the_slowest_particle_sets_what_flies():
