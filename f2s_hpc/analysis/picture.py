@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from f2s_hpc.analysis.canvas import save
-from f2s_hpc.analysis.surface import HALF_FULL, attached_material, surface_height
+from f2s_hpc.analysis.surface import HALF_FULL, attached_material, landed_surface
 from f2s_hpc.errors import InputError
 
 NEEDED = ("volume_fraction", "peeq", "temperature", "speed")
@@ -80,7 +80,7 @@ def draw(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float, t
     """
     shape = _checked_shape(fields)
     landed = attached_material(fields["volume_fraction"], fields["speed"] < slow_speed)
-    surface = surface_height(fields["volume_fraction"], np.where(landed, 0.0, 1.0), dx, 0.5)
+    surface = landed_surface(fields["volume_fraction"], landed, dx)
     section = choose_section(fields["volume_fraction"], surface, dx, substrate_height)
     across = shape[1] if section.axis == "x" else shape[2]
     length, height = section.along.stop - section.along.start, section.up.stop - section.up.start

@@ -68,6 +68,11 @@ def heights(surface: np.ndarray, dense: float, substrate_height: float) -> dict[
             "p95": float(np.percentile(above, 95.0)), "maximum": float(above.max())}
 
 
+def across(along: str) -> str:
+    """Return the axis of the profile across a track along x or y."""
+    return "x" if along == "y" else "y"
+
+
 def mean_profile(surface: np.ndarray, dx: float, substrate_height: float, along: str = "y") -> Profile:
     """Return the profile across a track that runs along ``along`` ("x" or "y"): the mean height along it.
 

@@ -9,13 +9,16 @@ from f2s_hpc.errors import InputError
 HALF_FULL = 0.5
 """A cell with at least this volume fraction is material; the interface lies where it is reached."""
 
+LANDED = 1.0 / 3.0
+"""Material slower than this share of the particles' speed (``batch.flight_speed``) has landed if it is attached.
+
+Above what light cells of a resting surface ring with (up to 0.2 with 4 cells per diameter) and rims still rise with;
+below what cells cut by the surface of a sphere in flight have (0.5: half of their nodes are at rest).
+"""
+
 
 def surface_height(volume_fraction: np.ndarray, speed: np.ndarray, dx: float, slow_speed: float) -> np.ndarray:
-    """Return the height (m, above the bottom of the box) of the landed material in each column, (ny, nx).
-
-    The highest cell k with VF >= 0.5 and a speed below ``slow_speed`` carries the surface; its height is
-    (k + VF_k + VF_k+1) dx. The cell above counts as long as it is less than half full and slow itself, so
-    material in flight never counts. A column without landed material has height 0.
+    """Return :func:`landed_surface` where all that is slower than ``slow_speed`` has landed.
 
     ``volume_fraction``, ``speed`` (m/s): cells, (nz, ny, nx); ``dx``: cell size (m); ``slow_speed`` (m/s).
     Raises ``InputError`` when the two arrays differ in shape or are not three-dimensional.
@@ -23,24 +26,25 @@ def surface_height(volume_fraction: np.ndarray, speed: np.ndarray, dx: float, sl
     if volume_fraction.ndim != 3 or volume_fraction.shape != speed.shape:
         raise InputError(f"surface height: volume_fraction has shape {volume_fraction.shape}, speed {speed.shape}; "
                          "both must be (nz, ny, nx)")
-    slow = speed < slow_speed
-    landed = slow & (volume_fraction >= HALF_FULL)
-    nz = landed.shape[0]
-    top = nz - 1 - np.argmax(landed[::-1], axis=0)
+    return landed_surface(volume_fraction, speed < slow_speed, dx)
+
+
+def landed_surface(volume_fraction: np.ndarray, landed: np.ndarray, dx: float) -> np.ndarray:
+    """Return the height (m, above the bottom of the box) of the landed material in each column, (ny, nx).
+
+    The highest cell k with VF >= 0.5 that has landed carries the surface; its height is (k + VF_k + VF_k+1) dx. The
+    cell above counts as long as it is less than half full and has landed itself, so material in flight never counts. A
+    column without landed material has height 0. ``landed``: bool, as ``volume_fraction``, (nz, ny, nx); ``dx`` in m.
+    """
+    solid = landed & (volume_fraction >= HALF_FULL)
+    nz = solid.shape[0]
+    top = nz - 1 - np.argmax(solid[::-1], axis=0)
     fill = np.clip(np.asarray(volume_fraction, dtype=np.float64), 0.0, 1.0)
-    resting = np.where(slow & (fill < HALF_FULL), fill, 0.0)
+    resting = np.where(landed & (fill < HALF_FULL), fill, 0.0)
     above = np.concatenate([resting[1:], np.zeros((1, *fill.shape[1:]))])
     row, column = np.indices(top.shape)
     height = (top + fill[top, row, column] + above[top, row, column]) * dx
-    return np.where(landed.any(axis=0), height, 0.0)
-
-
-LANDED = 1.0 / 3.0
-"""Material slower than this share of the particles' speed (``batch.flight_speed``) has landed if it is attached.
-
-Above what light cells of a resting surface ring with (up to 0.2 with 4 cells per diameter) and rims still rise with;
-below what cells cut by the surface of a sphere in flight have (0.5: half of their nodes are at rest).
-"""
+    return np.where(solid.any(axis=0), height, 0.0)
 
 
 def grounded_cells(solid: np.ndarray) -> np.ndarray:

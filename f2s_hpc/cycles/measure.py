@@ -112,6 +112,17 @@ def _grounded_rings(shape: tuple[int, int, int], pieces: list[tuple]) -> list[np
             for start, count, _ in pieces]
 
 
+def deposit_cells(state: State, landed: np.ndarray, substrate_height: float) -> np.ndarray:
+    """Return which owned cells are deposit (bool): ``landed``, half full, with a centre above ``substrate_height`` (m).
+
+    ``landed``: local cells, as :func:`landed_cells` returns.
+    """
+    part = state.part
+    centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
+    return (landed[part.owned_cells] & (state.owned("volume_fraction") >= HALF_FULL)
+            & (centre[:, None, None] > substrate_height))
+
+
 def surface_map(state: State, landed: np.ndarray) -> np.ndarray:
     """Return the height (m, from the bottom of the box) of the landed material's surface, (ny, nx), on all ranks.
 
@@ -142,11 +153,9 @@ def material_quanta(state: State, model: Model) -> int:
 
 def measure_material(state: State, model: Model, substrate_height: float, particle_speed: float) -> dict:
     """Return heights (m, above the substrate top), PEEQ and temperature percentiles of what has landed."""
-    part = state.part
     fraction, mass = state.owned("volume_fraction"), state.owned("mass")
     landed = landed_cells(state, model, particle_speed)
-    centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
-    deposit = landed[part.owned_cells] & (fraction >= HALF_FULL) & (centre[:, None, None] > substrate_height)
+    deposit = deposit_cells(state, landed, substrate_height)
     surface = surface_map(state, landed) - substrate_height
     peeq, temperature = state.owned("peeq"), state.owned("temperature")
     solid = fraction > 0.5

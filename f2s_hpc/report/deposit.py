@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f2s_hpc import places
-from f2s_hpc.analysis.surface import LANDED, attached_material, surface_height
+from f2s_hpc.analysis.surface import LANDED, attached_material, landed_surface
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
@@ -191,8 +191,7 @@ def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: 
     surface = np.empty(fraction.shape[1:])
     for first in range(0, fraction.shape[1], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
-        # what has landed is at rest, all else is in flight
-        surface[rows] = surface_height(fraction[:, rows], np.where(landed[:, rows], 0.0, 1.0), dx, 0.5)
+        surface[rows] = landed_surface(fraction[:, rows], landed[:, rows], dx)
     return Deposit(folder, scene, cycle, time, path, fraction, arrays["peeq"], arrays["temperature"],
                    arrays["von_mises"], landed, detached, surface, batches,
                    read_tracers(folder, cycle) if scene.output.tracers else None)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from f2s_hpc.analysis import canvas, figures, porosity, section_figures
+from f2s_hpc.analysis import canvas, figures, porosity, profile, section_figures
 from f2s_hpc.analysis.picture import Section
 from f2s_hpc.report.deposit import Deposit
 from f2s_hpc.report.measure import Measurements, filter_ends, particles_of_plane
@@ -29,7 +29,7 @@ def draw_all(folder: pathlib.Path, runs: Sequence[tuple[str, Measurements]]) -> 
         return path
 
     first = runs[0][1]
-    across = "x" if first.settings.along == "y" else "y"
+    across = profile.across(first.settings.along)
     figures.profiles(place("profile"), [(label, m.profile) for label, m in runs], _spread(first), first.experiment,
                      across, first.paper_height)
     figures.depth_bands(place("depth"), [(label, m.distributions) for label, m in runs])

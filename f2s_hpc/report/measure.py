@@ -114,18 +114,13 @@ def is_section4(deposit: Deposit) -> bool:
             and deposit.diameters.size == _PAPER_PARTICLES)
 
 
-def _across(along: str) -> str:
-    """Return the axis of the profile across a track along x or y."""
-    return "x" if along == "y" else "y"
-
-
 def half_track(scene: Scene, along: str = "y") -> bool:
     """Tell whether the scene sprays half of a track that runs along ``along``.
 
     So it is where the low side of the axis across is a mirror and the spray is centred in it: the jet's axis lies
     there, or all listed spheres do.
     """
-    axis = _across(along)
+    axis = profile.across(along)
     if getattr(scene.domain.faces, f"{axis}_low") != "symmetry":
         return False
     tolerance, batches = 1e-3 * scene.domain.cell_size, scene.batches
@@ -138,7 +133,7 @@ def half_track(scene: Scene, along: str = "y") -> bool:
 
 def _mirror_notes(scene: Scene, settings: Settings, asked: bool | None) -> list[str]:
     """Return what to say about the mirror of the profile; ``settings`` have it resolved from what was ``asked``."""
-    axis = _across(settings.along)
+    axis = profile.across(settings.along)
     side = f"domain.faces.{axis}_low"
     if asked is None and settings.symmetric:
         return [(f"profile: half a track was simulated ({side} is a mirror, and the spray is centred in it), so it is "
@@ -183,7 +178,7 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
         notes.append(f"skipped: {deposit.skipped}")
     if deposit.detached > deposit.dx**3:
         notes.append(f"heights: {1e18 * deposit.detached:.3g} µm³ of slow fragments hang in the air, not "
-                     "attached to the deposit; they are no part of its surface (the run's cycle table counts them)")
+                     "attached to the deposit; they are no part of its surface")
     flat, planes = _flattening(deposit, settings, notes)
     found = Measurements(
         deposit, settings, profile.heights(deposit.surface, dense, deposit.ground),
@@ -214,7 +209,7 @@ def _roughness(found: Measurements) -> None:
     ends = filter_ends(deposit)
     by_axis = {"x": (deposit.surface, ends[0]), "y": (deposit.surface.T, ends[1])}
     along = found.settings.along
-    across = _across(along)
+    across = profile.across(along)
     if min(deposit.surface.shape) < 3:
         found.notes.append("roughness: the box is narrower than three cells")
         return

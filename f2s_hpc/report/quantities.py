@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from f2s_hpc.analysis import profile
 from f2s_hpc.analysis.depth import SHARES
 from f2s_hpc.analysis.flattening import Regression
 from f2s_hpc.report.measure import Measurements, deposit_percentiles
@@ -82,7 +83,7 @@ def _heights(found: Measurements) -> list[Quantity]:
 
 def _profile(found: Measurements) -> list[Quantity]:
     along, mirrored = found.settings.along, found.settings.symmetric
-    half = f"; half a track, mirrored at {'x' if along == 'y' else 'y'} = 0" if mirrored else ""
+    half = f"; half a track, mirrored at {profile.across(along)} = 0" if mirrored else ""
     group, whole = f"Profile across the track (mean along {along}{half})", ", of the whole track" if mirrored else ""
     size, over = found.size, found.overlap
     rows = [_length(group, "profile_maximum", "maximum height", size.maximum),
@@ -113,7 +114,7 @@ def _roughness(found: Measurements) -> list[Quantity]:
     group = f"Roughness (Gaussian filter, cutoff {1e6 * areal.cutoff:g} µm; ends: {areal.ends})"
     rows = []
     for key, rough, text in (("along", along, f"along {track}"),
-                             ("across", across, f"along {'x' if track == 'y' else 'y'}")):
+                             ("across", across, f"along {profile.across(track)}")):
         length = f"{rough.profiles} profiles {text}, {1e6 * rough.length:.4g} µm long"
         rows += [_length(group, f"Ra_{key}", f"Ra, {length}", rough.Ra),
                  _length(group, f"Ra_{key}_scatter", f"{_INDENT}its standard deviation over them", rough.Ra_scatter),

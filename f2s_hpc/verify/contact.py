@@ -31,11 +31,6 @@ def _empty(cells: tuple[int, int, int], dx: float, options: Options) -> Setup:
                                    faces=ALL_SYMMETRY, overrides=options.numerics))
 
 
-def _sound(setup: Setup) -> float:
-    bulk = setup.model.bulk
-    return math.sqrt((bulk.bulk_modulus + 4.0 / 3.0 * bulk.shear_modulus) / bulk.density)
-
-
 def _heights(setup: Setup) -> tuple[float, float, float]:
     """Return, in cells: mean height of the surface, height of the material by volume fraction, and by mass."""
     part = setup.state.part
@@ -93,7 +88,7 @@ def run_blocks(options: Options) -> Iterator[Measured]:
         watch, dx = Stopwatch(), options["height"] / level
         gap = options["gap"] / dx
         setup = _blocks(options, level, gap, dx)
-        time = options["gap"] / options["speed"] + 0.5 * options["height"] / _sound(setup)
+        time = options["gap"] / options["speed"] + 0.5 * options["height"] / setup.model.sound
         setup.advance_to(time)
         surface, fraction, mass = _heights(setup)
         cost, bar = _cost(setup, watch), TALLEST_VOID if level >= FEWEST else None

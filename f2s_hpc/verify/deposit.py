@@ -30,12 +30,11 @@ def deposit_temperature(setup: Setup, scene: Scene) -> float:
 
     Landed is what has in the cycle table, in cells at least half full.
     """
-    state, part = setup.state, setup.state.part
-    centre = (part.start[2] + np.arange(part.count[2]) + 0.5) * part.box.dx
-    landed = (measure.landed_cells(state, setup.model, scene.top_speed)[part.owned_cells]
-              & (state.owned("volume_fraction") >= 0.5) & (centre[:, None, None] > scene.domain.substrate_height))
-    mass = state.owned("mass")[landed]
-    local = np.array([mass.sum(), mass @ state.owned("temperature")[landed]])
+    state = setup.state
+    landed = measure.landed_cells(state, setup.model, scene.top_speed)
+    deposit = measure.deposit_cells(state, landed, scene.domain.substrate_height)
+    mass = state.owned("mass")[deposit]
+    local = np.array([mass.sum(), mass @ state.owned("temperature")[deposit]])
     whole, heat = sum(mpi.all_gather(local))
     return float(heat / whole) - _ZERO_CELSIUS
 

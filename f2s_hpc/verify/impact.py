@@ -155,9 +155,10 @@ def _lengths(result: Splat, diameter: float) -> dict[str, float]:
     return {"width / D": result.width / diameter, "height / D": result.height / diameter, "PEEQ p95": result.peeq_p95}
 
 
-def _scatters(runs: Sequence[Splat], level: float, of: str = "") -> Iterator[Measured]:
-    """Yield how far single runs are from the mean over all places, at most (relative)."""
-    mean = mean_splat(runs)
+def _scatters(runs: Sequence[Splat], mean: Splat, level: float, of: str = "") -> Iterator[Measured]:
+    """Yield how far single runs are from their ``mean`` over all places, at most (relative); nothing with one place."""
+    if len(runs) < 2:
+        return
     for name, middle in _lengths(mean, 1.0).items():
         farthest = max(abs(_lengths(run, 1.0)[name] / middle - 1.0) for run in runs)
         yield Measured(f"{name}{of}: scatter by place", level, mean.dx, farthest, 0.0, farthest, compares=False,
@@ -172,10 +173,9 @@ def run_convergence(options: Options) -> Iterator[Measured]:
     if len(options.levels) < 3:
         raise InputError("--set resolutions: convergence needs three resolutions or more")
     runs = [splats(impact_of(options), level, options.numerics, places_of(options)) for level in options.levels]
-    results = [mean_splat(places) for places in runs]
-    if places_of(options) > 1:
-        for level, places in zip(options.levels, runs):
-            yield from _scatters(places, level)
+    results = [mean_splat(single) for single in runs]
+    for single, mean, level in zip(runs, results, options.levels):
+        yield from _scatters(single, mean, level)
     series = [_lengths(result, options["diameter"]) for result in results]
     for name in series[0]:
         finest = series[-1][name]
@@ -218,8 +218,7 @@ def run_paper_cells(options: Options) -> Iterator[Measured]:
             for quantity, value in _lengths(result, diameter).items():
                 yield Measured(f"{quantity}, {name}", diameter / dx, result.dx, value, reference[quantity],
                                abs(value / reference[quantity] - 1.0), **result.cost)
-            if places > 1:
-                yield from _scatters(runs, diameter / dx, f", {name}")
+            yield from _scatters(runs, result, diameter / dx, f", {name}")
 
 
 # --- energy -----------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ class Mode:
     def __init__(self, setup: Setup, cells: int, directions: int, strain: float) -> None:
         bulk, dx = setup.model.bulk, setup.model.dx
         self.bulk, self.directions = bulk, directions
-        self.sound = math.sqrt((bulk.bulk_modulus + 4.0 / 3.0 * bulk.shear_modulus) / bulk.density)
+        self.sound = setup.model.sound
         self.frequency = self.sound * math.pi / (cells * dx) * math.sqrt(directions)
         self.strain = strain
         self.speed = strain * self.sound * math.sqrt(directions)
