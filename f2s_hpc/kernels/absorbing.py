@@ -86,36 +86,37 @@ def outgoing_traction(runs, count, window, shape, dt, dx, density, floor, speeds
 
 
 @kernel
-def lend_mass(runs, count, owned, shape, axis, cell, outward, sweeps, mass, fraction, lent, mass_quantum):
-    """Make room beside one absorbing side as its nodes moved, without moving anything through it.
+def lend_mass(runs, count, owned, shape, inward, sweeps, mass, fraction, lent, mass_quantum):
+    """Make room beside absorbing sides as their nodes moved, without moving anything through them.
 
-    The face swept g (in cells) while the cell strained to the volume V; from here on the face stands still and the
-    volume is that without g. A full cell keeps its density: it lends the mass for which there is no room, or takes some
-    back. In a mixed cell void makes room. ``cell``: index of the cells beside the side along ``axis``; ``outward``: +1
-    on a high side. Visits all local cells; counts those in ``owned``: returns the mass lent, in ``mass_quantum``.
+    The faces on such sides swept g (in cells, all of a cell's together) while the cell strained to the volume V; from
+    here on they stand still and the volume is that without g. A full cell keeps its density: it lends the mass for
+    which there is no room, or takes some back. In a mixed cell void makes room. ``inward``: as in
+    :func:`outgoing_traction`. Visits all local cells; counts those in ``owned``: returns the mass lent, in
+    ``mass_quantum``.
     """
     ny, nx = shape
     row1, plane1 = nx + 1, (nx + 1) * (ny + 1)
     gx, gy, gz = sweeps
-    total = np.int64(0)
+    total, along_rows = np.int64(0), np.abs(inward[0]).max() > 0.0
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
-        if (axis == 2 and k != cell) or (axis == 1 and j != cell):
-            continue
+        # 1.0 where the low, the high face of these cells is on an absorbing side
+        z0, z1, y0, y1 = max(inward[2, k], 0.0), max(-inward[2, k + 1], 0.0), max(inward[1, j], 0.0), \
+            max(-inward[1, j + 1], 0.0)
         counts = owned[0] <= k < owned[1] and owned[2] <= j < owned[3]
-        first, last = runs[r, 2], runs[r, 3]
-        if axis == 0:
-            first, last = max(first, cell), min(last, cell + 1)
-        for i in range(first, last):
+        beside = z0 + z1 + y0 + y1 > 0.0
+        if not (beside or along_rows):
+            continue
+        for i in range(runs[r, 2], runs[r, 3]):
+            x0, x1 = max(inward[0, i], 0.0), max(-inward[0, i + 1], 0.0)
             c, n = (k * ny + j) * nx + i, k * plane1 + j * row1 + i
-            if mass[c] <= 0.0:
+            if not (beside or x0 + x1 > 0.0) or mass[c] <= 0.0:
                 continue
             volume = 1.0 + (gx[n + 1] - gx[n]) + (gy[n + row1] - gy[n]) + (gz[n + plane1] - gz[n])
-            if outward > 0.0:
-                face = gx[n + 1] if axis == 0 else (gy[n + row1] if axis == 1 else gz[n + plane1])
-            else:
-                face = -(gx[n] if axis == 0 else (gy[n] if axis == 1 else gz[n]))
-            ratio = (volume - face) / volume
+            faces = (x1 * gx[n + 1] - x0 * gx[n]) + (y1 * gy[n + row1] - y0 * gy[n]) + (z1 * gz[n + plane1]
+                                                                                        - z0 * gz[n])
+            ratio = (volume - faces) / volume
             if fraction[c] >= 1.0:
                 gone = mass[c] * (1.0 - ratio)
                 mass[c] -= gone

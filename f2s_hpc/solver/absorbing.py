@@ -63,12 +63,11 @@ def lend_mass(state: State, model: Model, ledger: Ledger) -> None:
     beside = _nodes_beside(state)
     before = _kinetic_energy(state, model, beside)
     sweeps = tuple(state.views[name] for name in SWEEP)
+    ledger.add("mass_lent", absorbing.lend_mass(
+        runs, count, state.cell_window(), state.part.cell_shape[1:], boundary.inward, state.sweep, state.flat["mass"],
+        state.flat["volume_fraction"], state.flat[LENT], model.mass_quantum))
     for side in boundary.absorbing:
         axis, plane = SIDES.index(side) // 2, boundary.wall_plane(side)
-        outward = 1.0 if side.endswith("high") else -1.0
-        ledger.add("mass_lent", absorbing.lend_mass(
-            runs, count, state.cell_window(), state.part.cell_shape[1:], axis, plane - (outward > 0.0), outward,
-            state.sweep, state.flat["mass"], state.flat["volume_fraction"], state.flat[LENT], model.mass_quantum))
         sweeps[axis][(slice(None),) * (2 - axis) + (plane,)] = 0.0
     memory, offsets = state.pool.memory, state.pool.offsets
     boundary.mirror_sweeps(memory, [offsets[name] for name in SWEEP], state.active)
