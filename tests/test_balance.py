@@ -18,7 +18,7 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import Decomposition, ownership_ranges
 from f2s_hpc.io import runs
-from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.state import State
 from f2s_hpc.workload.balance import balanced, imbalance_of
 from f2s_hpc.workload.expected import block_shares, column_load, moments

@@ -18,7 +18,8 @@ from f2s_hpc import mpi
 from f2s_hpc.cli import tasks
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene, scene_hash, scene_names
-from f2s_hpc.particles.batch import make_batches, read_csv
+from f2s_hpc.particles.batch import read_csv
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.solver.ledger import ENERGY_TERMS
 
 SCENE = """

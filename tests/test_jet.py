@@ -23,9 +23,10 @@ from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.io.compare import compare_runs
 from f2s_hpc.io.manifest import manifest_path
-from f2s_hpc.particles.batch import Batch, clipped_volume, join, make_batches, read_csv, smallest_gap, write_csv
+from f2s_hpc.particles.batch import Batch, clipped_volume, join, read_csv, smallest_gap, write_csv
 from f2s_hpc.particles.lateral import SechProfile
 from f2s_hpc.particles.packing import pack
+from f2s_hpc.particles.plan import make_batches
 
 UM, MM = 1e-6, 1e-3
 

@@ -12,7 +12,7 @@ from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
-from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.solver.ledger import ENERGY_TERMS, Ledger
 from f2s_hpc.solver.step import Clock, advance
 

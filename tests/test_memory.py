@@ -17,7 +17,8 @@ from f2s_hpc.config import load_scene, scene_names
 from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import ownership_ranges, process_grid
 from f2s_hpc.io import runs
-from f2s_hpc.particles.batch import Batch, BatchPlan, make_batches
+from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.verify.scenes import prepare
 from f2s_hpc.workload import memory
 

@@ -22,7 +22,8 @@ from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.errors import F2SError, InputError
 from f2s_hpc.io import layout, runs
-from f2s_hpc.particles.batch import Batch, BatchPlan
+from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.plan import BatchPlan
 
 
 def numbered_batches(count: int) -> list[Batch]:

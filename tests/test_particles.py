@@ -12,17 +12,9 @@ import pytest
 
 from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
-from f2s_hpc.particles.batch import (
-    Batch,
-    clipped_volume,
-    cycle_order,
-    make_batches,
-    read_csv,
-    smallest_gap,
-    stack,
-    write_csv,
-)
+from f2s_hpc.particles.batch import Batch, clipped_volume, read_csv, smallest_gap, stack, write_csv
 from f2s_hpc.particles.packing import DENSEST, LEAST_FAILURES, NEXT_SIZE, crowd, pack, smallest_gap_ratio
+from f2s_hpc.particles.plan import cycle_order, make_batches
 from f2s_hpc.particles.sizes import RosinRammler
 
 UM, MM = 1e-6, 1e-3
@@ -42,7 +34,8 @@ def scene(**changes) -> SimpleNamespace:
     """A scene of two small generated batches over five cycles; ``changes`` override any attribute by name."""
     batches = {"count": changes.pop("batch_count", 2), "particles": 40, "files": [], "spheres": [], "seed": 7,
                "gap_factor": 1.02, "attempts": 2000, "shuffle": True, "diameter_d10": 19 * UM, "diameter_d50": 30 * UM,
-               "diameter_d90": 52 * UM, "diameter_min": 10 * UM, "diameter_max": 85 * UM, "distribution": "uniform"}
+               "diameter_d90": 52 * UM, "diameter_min": 10 * UM, "diameter_max": 85 * UM, "distribution": "uniform",
+               "even_sides": False, "mirror_repeats": ()}
     domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "substrate_height": 0.1 * MM,
               "particle_layer_height": 0.2 * MM}
     particles = {"speed_curvature": 0.0, "velocity": (0.0, 0.0, -600.0)}

@@ -14,7 +14,8 @@ from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import ownership_ranges
-from f2s_hpc.particles.batch import Batch, BatchPlan, make_batches
+from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.workload import marks
 from f2s_hpc.workload.expected import ON_GRID, moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, busy_seconds, message_seconds, predict, table

@@ -15,7 +15,8 @@ from f2s_hpc.config.load import load_scene
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import runs
-from f2s_hpc.particles.batch import Batch, check_inside, flight_speed, make_batches
+from f2s_hpc.particles.batch import Batch, check_inside, flight_speed
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.workload.expected import MOST_SAMPLES, moments
 
 SMALL = ["--set", "cycles.count=1", "--set", "output.picture=false"]

@@ -13,7 +13,7 @@ import pytest
 from f2s_hpc.bench import schemes
 from f2s_hpc.config import load_scene
 from f2s_hpc.errors import F2SError
-from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.particles.plan import make_batches
 
 ROOT = pathlib.Path(__file__).parents[1]
 FOUND = {"status": "complete", "ranks": 2, "cells": 1000, "startup_s": 5.0, "wall_s": 125.0,

@@ -18,7 +18,7 @@ from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL, VELOCITY
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
-from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.solver import sleep
 from f2s_hpc.solver.step import advance
 from f2s_hpc.verify.scenes import write_scene

@@ -24,7 +24,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST
-from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.solver.model import Model
 from f2s_hpc.verify.box import Setup, make_setup
 from f2s_hpc.workload.predict import FLYING, SOLID, Rates

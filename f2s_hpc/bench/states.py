@@ -15,7 +15,8 @@ from f2s_hpc.build import build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.fields import BY_NAME, CELL
-from f2s_hpc.particles.batch import Batch, make_batches
+from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.solver.model import Model
 from f2s_hpc.verify.box import STANDARD_SIDES, Setup, make_model, make_setup, node_coordinates
 

@@ -29,7 +29,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
 from f2s_hpc.doctor import launch_environment
 from f2s_hpc.errors import F2SError
-from f2s_hpc.particles.batch import BatchPlan, make_batches
+from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.workload.balance import balance_of_run
 from f2s_hpc.workload.predict import Network, Rates, predict

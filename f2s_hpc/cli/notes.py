@@ -6,7 +6,7 @@ import numpy as np
 
 from f2s_hpc.analysis.depth import weighted_percentiles
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.units import pretty
 
 LEAST_CELLS = 2.0

@@ -10,7 +10,7 @@ from f2s_hpc.bench import rates as measured
 from f2s_hpc.bench import trial
 from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
-from f2s_hpc.particles.batch import make_batches
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.workload import predict
 
 MOST_RANKS = 4096

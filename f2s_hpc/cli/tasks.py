@@ -20,7 +20,8 @@ from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.io.manifest import text_digest
-from f2s_hpc.particles.batch import BatchPlan, clipped_volume, make_batches, write_csv
+from f2s_hpc.particles.batch import clipped_volume, write_csv
+from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.units import count_text, pretty_bytes
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import Balance, balance_of_run

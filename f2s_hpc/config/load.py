@@ -136,6 +136,9 @@ def _refuse_ignored(scene: Scene, source: str, keys: Sequence[str]) -> None:
             key = f"batches.{name}"
             raise InputError(f"{origin(key, source, keys)}: {key} = {getattr(batches, name)} has no effect where "
                              f"{given} given; leave it out")
+    if given and batches.even_sides:
+        raise InputError(f"{origin('batches.even_sides', source, keys)}: batches.even_sides has no effect where "
+                         f"{given} given; leave it out")
     if given and batches.distribution != "uniform":
         raise InputError(f'{origin("batches.distribution", source, keys)}: batches.distribution = '
                          f'"{batches.distribution}" has no effect where {given} given; leave it and jet_width out')

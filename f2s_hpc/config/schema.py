@@ -102,6 +102,21 @@ def _check_speeds(scene: Scene) -> None:
                                                  "it must stay above 0 everywhere")
 
 
+def _check_repeats(scene: Scene) -> None:
+    """Raise if a batch that comes again cannot be mirrored as asked."""
+    how, (size_x, size_y) = scene.batches.mirror_repeats, scene.domain.size[:2]
+    if len(set(how)) < len(how):
+        raise wrong("batches.mirror_repeats", "names a mirror twice")
+    if "xy" in how and size_x != size_y:
+        raise wrong("batches.mirror_repeats", 'has "xy", which exchanges x and y, but domain.size is '
+                                              f"{length_text(size_x)} by {length_text(size_y)}; leave it out")
+    if scene.batches.distribution == "sech" or scene.particles.speed_curvature != 0.0:
+        for name in how:
+            if "x" in name:
+                raise wrong("batches.mirror_repeats", f'has "{name}", which would move the jet, that runs along y; '
+                                                      'only "y" is possible')
+
+
 def _check_steps(scene: Scene) -> None:
     """Raise if sound is too fast for any time step, or the steps of the run are too many to end ever."""
     try:
@@ -150,6 +165,7 @@ class Scene(Section):
         if self.scheme == "standard" and self.cycles.count != 1:
             raise wrong("cycles.count", "must be 1 in the standard scheme, which paints all batches at once")
         _check_spheres(self)
+        _check_repeats(self)
         _check_sleep(self)
         _check_temperatures(self)
         _check_speeds(self)

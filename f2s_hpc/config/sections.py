@@ -160,6 +160,13 @@ class Batches(Section):
     diameter_min: PositiveLength = Field(default=10e-6, description="smallest particle, m")
     diameter_max: PositiveLength = Field(default=85e-6, description="largest particle, m")
     shuffle: Switch = Field(default=True, description="shuffle the order of the batches once, from the seed")
+    mirror_repeats: tuple[Literal["x", "y", "xy"], ...] = Field(
+        default=(), description='what a batch that comes again is mirrored by, in turn: ["x", "y", "xy"] ("xy" '
+                                "exchanges x and y) make 8 images, none uses it as it is, as the paper does")
+    even_sides: Switch = Field(
+        default=False, description="generated spheres may have their centres beyond the sides too, so that as much "
+                                   "powder falls there as in the middle; without, as in the paper, up to half of it is "
+                                   "missing there")
 
     @property
     def median_diameter(self) -> float:

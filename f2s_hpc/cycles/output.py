@@ -26,7 +26,8 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint, layout, runs, tracers, vtkhdf
 from f2s_hpc.io.layout import Block
 from f2s_hpc.io.tracers import TracerCloud
-from f2s_hpc.particles.batch import BatchPlan, flight_speed, read_csv, write_csv
+from f2s_hpc.particles.batch import flight_speed, read_csv, write_csv
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 from f2s_hpc.units import count_text

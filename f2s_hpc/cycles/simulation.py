@@ -22,7 +22,8 @@ from f2s_hpc.errors import F2SError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
-from f2s_hpc.particles.batch import BatchPlan, flight_speed
+from f2s_hpc.particles.batch import flight_speed
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.units import count_text
 from f2s_hpc.workload.balance import balance_of_run

@@ -10,7 +10,8 @@ import numpy as np
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.flight import Flight
 from f2s_hpc.cycles.insert import InsertReport, paint_arrivals, paint_batch
-from f2s_hpc.particles.batch import Batch, BatchPlan, join
+from f2s_hpc.particles.batch import Batch, join
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.solver import sleep
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model

@@ -1,4 +1,4 @@
-"""Batches of spheres: the authors' CSV format, volumes, and the plan of which batch enters in which cycle.
+"""Batches of spheres: the authors' CSV format, what they must keep to, volumes and speeds.
 
 A batch's z is measured from the bottom of the particle layer, in files and in memory.
 """
@@ -10,7 +10,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation, Overflow
 from pathlib import Path
 
@@ -19,14 +19,11 @@ import numpy as np
 from f2s_hpc import places
 from f2s_hpc.errors import InputError
 from f2s_hpc.kernels.sphere import sphere_box_volume
-from f2s_hpc.particles.lateral import SechProfile
-from f2s_hpc.particles.packing import crowd, pack, smallest_gap_ratio
-from f2s_hpc.particles.sizes import SMALLEST, RosinRammler
+from f2s_hpc.particles.packing import smallest_gap_ratio
+from f2s_hpc.particles.sizes import SMALLEST
 
 COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
-MISFIT_WORTH_A_LINE = 0.01
-SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
 LONGEST_QUOTE = 60  # characters of a bad value that a message shows: an unclosed quote swallows the rest of its file
 LAYER_TOLERANCE = 1e-9  # of the layer height: a sphere written as touching the layer's end does not cross it
 
@@ -63,15 +60,6 @@ class Batch:
     def raised(self, height: float) -> Batch:
         """Return the batch with every z raised by ``height`` (m)."""
         return dataclasses.replace(self, z=self.z + height)
-
-
-@dataclass(frozen=True, eq=False)
-class BatchPlan:
-    """All batches of a run, the batch index of each cycle, and what the user should be told."""
-
-    batches: list[Batch]
-    order: list[int]
-    messages: list[str] = field(default_factory=list)
 
 
 def _quoted(text: str) -> str:
@@ -233,116 +221,6 @@ def stack(batches: Sequence[Batch], layer_height: float) -> Batch:
     return join([batch.raised(index * layer_height) for index, batch in enumerate(batches)])
 
 
-def cycle_order(cycles: int, batches: int, shuffle: bool, generator: np.random.Generator) -> list[int]:
-    """Return the batch index of each cycle: one permutation (shuffled or not), repeated cyclically."""
-    permutation = generator.permutation(batches) if shuffle else np.arange(batches)
-    return [int(permutation[cycle % batches]) for cycle in range(cycles)]
-
-
-def _read_files(scene, height: float, messages: list[str]) -> list[Batch]:
-    size_x, size_y = scene.domain.size[0], scene.domain.size[1]
-    batches = []
-    for path in scene.batches.files:
-        batch = read_csv(path)
-        check_inside(batch, str(path), size_x, size_y, height)
-        _warn_of_overlap(batch, str(path), messages)
-        batches.append(batch)
-    return batches
-
-
-def _given_spheres(scene, messages: list[str]) -> Batch:
-    spheres = np.array(scene.batches.spheres, dtype=np.float64).reshape(-1, 4)
-    batch = Batch(*(np.ascontiguousarray(column) for column in spheres.T))
-    bad = np.flatnonzero(~(np.isfinite(spheres).all(axis=1) & (batch.r > 0.0)))
-    if bad.size:
-        raise InputError(f"batches.spheres: row {bad[0] + 1}: needs four numbers [x, y, z, r] with a positive radius")
-    domain = scene.domain
-    check_inside(batch, "batches.spheres", domain.size[0], domain.size[1], domain.particle_layer_height)
-    _warn_of_overlap(batch, "batches.spheres", messages)
-    return batch
-
-
-def _warn_of_overlap(batch: Batch, label: str, messages: list[str]) -> None:
-    gap = smallest_gap(batch)
-    if gap < 1.0:
-        messages.append(f"{label}: spheres overlap (smallest centre distance over summed radii {gap:.4f}); "
-                        "where a cell that they share cannot hold both, the later one is moved")
-
-
-def _refuse_crowd(wanted, diameters: np.ndarray, box: tuple[float, float, float], number: int) -> None:
-    """Raise InputError where no packing can hold the particles of a batch, before any is placed."""
-    share = crowd(0.5 * diameters[diameters <= box[2]], box, wanted.gap_factor)
-    if not share <= 1.0:
-        lx, ly, lz = (f"{1e3 * length:g}" for length in box)
-        volume = np.pi / 6.0 * float(np.sum(diameters**3))
-        raise InputError(f"batches.particles = {wanted.particles}: those of batch {number} have {1e9 * volume:.3g} mm3,"
-                         f" {share:.3g} times what the densest packing at gap factor {wanted.gap_factor:g} holds in "
-                         f"the layer of {lx} x {ly} x {lz} mm; ask for fewer than {int(wanted.particles / share)} (at "
-                         "random places about half of that fit), or a taller domain.particle_layer_height")
-
-
-def _generate(scene, height: float, seeds: list[np.random.SeedSequence], messages: list[str]) -> list[Batch]:
-    """Return scene.batches.count packed batches, one seed each, for a layer of the given height (m)."""
-    wanted = scene.batches
-    if wanted.count < 1 or wanted.particles < 1:
-        raise InputError(f"batches: count {wanted.count} of {wanted.particles} particles is nothing to spray; "
-                         "set batches.count and batches.particles, batches.files, or batches.spheres")
-    percentiles = (wanted.diameter_d10, wanted.diameter_d50, wanted.diameter_d90)
-    sizes = RosinRammler.fit(*percentiles, wanted.diameter_min, wanted.diameter_max)
-    if max(map(abs, sizes.misfit(*percentiles))) > MISFIT_WORTH_A_LINE:
-        messages.append(sizes.message(*percentiles))
-    box = (float(scene.domain.size[0]), float(scene.domain.size[1]), height)
-    jet = SechProfile(wanted.jet_centre, wanted.jet_width) if wanted.distribution == "sech" else None
-    if jet:
-        messages.append(f"particles over x: sech of width {1e3 * jet.width:g} mm about {1e3 * jet.centre:g} mm; the "
-                        f"box holds {100 * float(jet.share(0.0, box[0])):.1f} % of such a jet")
-    batches = []
-    for number, seed in enumerate(seeds, start=1):
-        generator = np.random.Generator(np.random.PCG64(seed))
-        diameters = sizes.sample_by_number(wanted.particles, generator)
-        _refuse_crowd(wanted, diameters, box, number)
-        lateral = jet.sample(wanted.particles, 0.0, box[0], generator) if jet else None
-        packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
-        if packed.placed == 0:
-            raise InputError(f"batches: no particle of batch {number} fits the layer; {packed.message()}")
-        if packed.placed < packed.requested:
-            messages.append(f"batch {number} of {wanted.count}: {packed.message()}")
-        batches.append(Batch(packed.x, packed.y, packed.z, packed.r))
-    return batches
-
-
-def _speed_law(scene, batch: Batch) -> Batch:
-    """Return the batch with each sphere's velocity: its own, or the scene's speed law at its x (figure 8b, 10c)."""
-    if batch.velocity is not None:
-        return batch
-    x = np.clip(batch.x, 0.0, float(scene.domain.size[0]))  # a centre outside the box flies like its wall
-    speed = scene.particles.speed_at(x - scene.batches.jet_centre)
-    velocity = speed[:, None] * np.array(scene.particles.direction)
-    return dataclasses.replace(batch, velocity=velocity)
-
-
-def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[Batch]:
-    """Give all spheres velocities of their own if any has one, or the speed depends on the place; check the highest."""
-    own = [batch.velocity is not None for batch in batches]
-    if not any(own) and scene.particles.speed_curvature == 0.0:
-        _warn_of_departure(scene, np.array(scene.particles.velocity[2:]), messages)
-        return batches
-    limit, names = scene.top_speed, [str(path) for path in scene.batches.files]
-    for index, batch in enumerate(batches):
-        if own[index]:
-            speeds = np.linalg.norm(batch.velocity, axis=1)
-            row = int(np.argmax(speeds))
-            if speeds[row] > limit * (1.0 + SPEED_TOLERANCE):
-                raise InputError(f"{names[index]}: row {row + 1}: {speeds[row]:.6g} m/s is above the highest speed of "
-                                 f"the scene, {limit:.6g} m/s; raise particles.speed, to which the limits of the "
-                                 "numerics refer")
-    batches = [_speed_law(scene, batch) for batch in batches]
-    _warn_of_departure(scene, np.concatenate([batch.velocity[:, 2] for batch in batches]), messages)
-    speeds = np.concatenate([np.linalg.norm(batch.velocity, axis=1) for batch in batches])
-    messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean")
-    return batches
-
-
 def flight_speed(batches: Sequence[Batch], top_speed: float) -> float:
     """Return the speed (m/s), a third of which tells material that has landed from what still flies.
 
@@ -353,46 +231,3 @@ def flight_speed(batches: Sequence[Batch], top_speed: float) -> float:
     speeds = [np.linalg.norm(batch.velocity, axis=1) for batch in batches if batch.velocity is not None]
     moving = [float(s[s > 0.0].min()) for s in speeds if (s > 0.0).any()]
     return min(top_speed, 1.4 * min(moving, default=top_speed))
-
-
-def _warn_of_departure(scene, down: np.ndarray, messages: list[str]) -> None:
-    """Tell when particles (``down``: their velocity along z, m/s) will never come to the substrate."""
-    leaving = int((down >= 0.0).sum())
-    if leaving and scene.domain.substrate_height > 0.0:
-        who = "no particle flies" if leaving == down.size else f"{leaving} of {down.size} particles do not fly"
-        messages.append(f"{who} towards the substrate; it is at the low side of z, so directions and velocities with a "
-                        "negative z lead there")
-
-
-def make_batches(scene) -> BatchPlan:
-    """Read or generate the batches of a scene and order them over the cycles. For rank 0; same seed, same bits.
-
-    Recurring scheme: each batch fills the particle layer; ``order[c]`` is the batch of cycle c, one permutation
-    (shuffled from the seed if asked) repeated cyclically. Standard scheme: the layer is cut into
-    ``batches.count`` equal layers (at least one per file), filled from the bottom in the order in which the recurring
-    scheme would spray (so fewer files than layers repeat), and becomes one batch for the one cycle. Explicit
-    spheres are one batch. Batches are generated for the footprint as written in the scene, so they do not
-    depend on the cell size. Where files give velocities, or the speed depends on the place, every sphere has its own.
-    Raises InputError for unreadable files, spheres outside the layer or too fast, or nothing to place.
-    """
-    wanted, height = scene.batches, float(scene.domain.particle_layer_height)
-    cycles = scene.cycles.count
-    standard = scene.scheme == "standard"
-    if standard and cycles != 1:
-        raise InputError(f"cycles.count: the standard scheme paints everything at once, so 1 is needed, not {cycles}")
-    messages: list[str] = []
-    shuffle_seed, *batch_seeds = np.random.SeedSequence(wanted.seed).spawn(max(wanted.count, 0) + 1)
-    shuffler = np.random.Generator(np.random.PCG64(shuffle_seed))
-    if len(wanted.spheres):
-        return BatchPlan(_with_velocities(scene, [_given_spheres(scene, messages)], messages), [0] * cycles, messages)
-    layers = max(wanted.count, len(wanted.files), 1) if standard else 1
-    layer_height = height / layers
-    if len(wanted.files):
-        batches = _read_files(scene, layer_height, messages)
-    else:
-        batches = _generate(scene, layer_height, batch_seeds, messages)
-    batches = _with_velocities(scene, batches, messages)
-    if not standard:
-        return BatchPlan(batches, cycle_order(cycles, len(batches), wanted.shuffle, shuffler), messages)
-    order = cycle_order(layers, len(batches), wanted.shuffle, shuffler)
-    return BatchPlan([stack([batches[index] for index in order], layer_height)], [0], messages)

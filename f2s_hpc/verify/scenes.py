@@ -11,7 +11,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
 from f2s_hpc.cycles.supply import Supply
-from f2s_hpc.particles.batch import BatchPlan, make_batches
+from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.verify.box import Setup
 
 _SCENE = """

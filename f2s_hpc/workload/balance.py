@@ -10,7 +10,7 @@ from f2s_hpc import mpi
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import Ranges, ownership_ranges, process_grid
-from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.workload.expected import column_load
 
 WORTH_IT = 0.03

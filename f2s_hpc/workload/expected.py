@@ -16,8 +16,9 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.kernels.activity import BLOCK
-from f2s_hpc.particles.batch import Batch, BatchPlan
+from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.meeting import waits
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.workload import marks
 
 SPREAD = 1.4

@@ -18,7 +18,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST, Box, Part
 from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.grid.halo import PACKED
-from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.particles.plan import BatchPlan
 
 BASELINE = 250 * 2**20
 """Interpreter, numpy, numba with all compiled kernels, PETSc, MPI and HDF5, before any field is allocated (bytes).

@@ -25,7 +25,7 @@ from f2s_hpc.config.describe import quiet_time_step
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Ranges
-from f2s_hpc.particles.batch import BatchPlan
+from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import balanced
 from f2s_hpc.workload.expected import SAMPLES, Moment, moments, part_cells, summed_load

@@ -1,0 +1,243 @@
+"""The plan of a run's batches: read, listed or generated, with their velocities, and which enters in which cycle."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f2s_hpc.errors import InputError
+from f2s_hpc.kernels.sphere import sphere_box_volume
+from f2s_hpc.particles.batch import Batch, check_inside, read_csv, smallest_gap, stack
+from f2s_hpc.particles.lateral import SechProfile
+from f2s_hpc.particles.packing import crowd, pack
+from f2s_hpc.particles.sizes import RosinRammler
+
+MISFIT_WORTH_A_LINE = 0.01
+SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
+LEAST_SHARE = 1e-3
+"""A sphere with its centre beyond the sides is left out where a smaller share of it than this lies inside."""
+
+
+@dataclass(frozen=True, eq=False)
+class BatchPlan:
+    """All batches of a run, the batch index of each cycle, and what the user should be told."""
+
+    batches: list[Batch]
+    order: list[int]
+    messages: list[str] = field(default_factory=list)
+
+
+def cycle_order(cycles: int, batches: int, shuffle: bool, generator: np.random.Generator) -> list[int]:
+    """Return the batch index of each cycle: one permutation (shuffled or not), repeated cyclically."""
+    permutation = generator.permutation(batches) if shuffle else np.arange(batches)
+    return [int(permutation[cycle % batches]) for cycle in range(cycles)]
+
+
+def _read_files(scene, height: float, messages: list[str]) -> list[Batch]:
+    size_x, size_y = scene.domain.size[0], scene.domain.size[1]
+    batches = []
+    for path in scene.batches.files:
+        batch = read_csv(path)
+        check_inside(batch, str(path), size_x, size_y, height)
+        _warn_of_overlap(batch, str(path), messages)
+        batches.append(batch)
+    return batches
+
+
+def _given_spheres(scene, messages: list[str]) -> Batch:
+    spheres = np.array(scene.batches.spheres, dtype=np.float64).reshape(-1, 4)
+    batch = Batch(*(np.ascontiguousarray(column) for column in spheres.T))
+    bad = np.flatnonzero(~(np.isfinite(spheres).all(axis=1) & (batch.r > 0.0)))
+    if bad.size:
+        raise InputError(f"batches.spheres: row {bad[0] + 1}: needs four numbers [x, y, z, r] with a positive radius")
+    domain = scene.domain
+    check_inside(batch, "batches.spheres", domain.size[0], domain.size[1], domain.particle_layer_height)
+    _warn_of_overlap(batch, "batches.spheres", messages)
+    return batch
+
+
+def _warn_of_overlap(batch: Batch, label: str, messages: list[str]) -> None:
+    gap = smallest_gap(batch)
+    if gap < 1.0:
+        messages.append(f"{label}: spheres overlap (smallest centre distance over summed radii {gap:.4f}); "
+                        "where a cell that they share cannot hold both, the later one is moved")
+
+
+def _refuse_crowd(wanted, diameters: np.ndarray, box: tuple[float, float, float], number: int) -> None:
+    """Raise InputError where no packing can hold the particles of a batch, before any is placed."""
+    share = crowd(0.5 * diameters[diameters <= box[2]], box, wanted.gap_factor)
+    if not share <= 1.0:
+        lx, ly, lz = (f"{1e3 * length:g}" for length in box)
+        volume = np.pi / 6.0 * float(np.sum(diameters**3))
+        raise InputError(f"batches.particles = {wanted.particles}: those of batch {number} have {1e9 * volume:.3g} mm3,"
+                         f" {share:.3g} times what the densest packing at gap factor {wanted.gap_factor:g} holds in "
+                         f"the layer of {lx} x {ly} x {lz} mm; ask for fewer than {int(wanted.particles / share)} (at "
+                         "random places about half of that fit), or a taller domain.particle_layer_height")
+
+
+def _generate(scene, height: float, seeds: list[np.random.SeedSequence], messages: list[str]) -> list[Batch]:
+    """Return scene.batches.count packed batches, one seed each, for a layer of the given height (m)."""
+    wanted = scene.batches
+    if wanted.count < 1 or wanted.particles < 1:
+        raise InputError(f"batches: count {wanted.count} of {wanted.particles} particles is nothing to spray; "
+                         "set batches.count and batches.particles, batches.files, or batches.spheres")
+    percentiles = (wanted.diameter_d10, wanted.diameter_d50, wanted.diameter_d90)
+    sizes = RosinRammler.fit(*percentiles, wanted.diameter_min, wanted.diameter_max)
+    if max(map(abs, sizes.misfit(*percentiles))) > MISFIT_WORTH_A_LINE:
+        messages.append(sizes.message(*percentiles))
+    size_x, size_y = float(scene.domain.size[0]), float(scene.domain.size[1])
+    # a packing is crowded at its rim, where spheres have fewer neighbours: so that has to lie out of reach
+    margin = wanted.diameter_max if wanted.even_sides else 0.0
+    box = (size_x + 2.0 * margin, size_y + 2.0 * margin, height)
+    jet = SechProfile(wanted.jet_centre, wanted.jet_width) if wanted.distribution == "sech" else None
+    number = wanted.particles
+    if jet:
+        share, wide = (float(jet.share(-beyond, size_x + beyond)) for beyond in (0.0, margin))
+        messages.append(f"particles over x: sech of width {1e3 * jet.width:g} mm about {1e3 * jet.centre:g} mm; the "
+                        f"box holds {100 * share:.1f} % of such a jet")
+        number *= wide / max(share, 1e-300) * size_x / box[0]
+    number = round(number * box[0] * box[1] / (size_x * size_y))
+    batches = []
+    for index, seed in enumerate(seeds, start=1):
+        generator = np.random.Generator(np.random.PCG64(seed))
+        diameters = sizes.sample_by_number(number, generator)
+        _refuse_crowd(wanted, diameters, box, index)
+        lateral = margin + jet.sample(number, -margin, size_x + margin, generator) if jet else None
+        packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
+        if packed.placed == 0:
+            raise InputError(f"batches: no particle of batch {index} fits the layer; {packed.message()}")
+        if packed.placed < packed.requested:
+            messages.append(f"batch {index} of {wanted.count}: {packed.message()}")
+        batch = Batch(packed.x, packed.y, packed.z, packed.r)
+        batches.append(_reaching_in(batch, margin, size_x, size_y) if wanted.even_sides else batch)
+    return batches
+
+
+def _reaching_in(batch: Batch, margin: float, size_x: float, size_y: float) -> Batch:
+    """Return the spheres of a footprint wider by ``margin`` (m) on each side that reach into the box, placed in it."""
+    moved = dataclasses.replace(batch, x=batch.x - margin, y=batch.y - margin)
+    inside = np.array([sphere_box_volume(x, y, z, r, 0.0, size_x, 0.0, size_y, z - r, z + r)
+                       for x, y, z, r in zip(moved.x, moved.y, moved.z, moved.r)])
+    return moved.chosen(inside > LEAST_SHARE * 4.0 / 3.0 * np.pi * moved.r**3)
+
+
+# --- batches that come again ------------------------------------------------------------------------------------
+
+
+def mirrored(batch: Batch, how: Sequence[str], size_x: float, size_y: float) -> Batch:
+    """Return the batch with places and own velocities mirrored in the box of ``size_x``, ``size_y`` (m).
+
+    ``how``: "x" mirrors in the middle of x, "y" in that of y, "xy" exchanges x and y; one after the other.
+    """
+    x, y, velocity = batch.x, batch.y, batch.velocity
+    for step in how:
+        if step == "xy":
+            x, y = y, x
+            turn = [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+        else:
+            x, y = (size_x - x, y) if step == "x" else (x, size_y - y)
+            turn = np.diag([-1.0 if step == axis else 1.0 for axis in "xyz"])
+        velocity = None if velocity is None else velocity @ np.array(turn)
+    return dataclasses.replace(batch, x=x, y=y, velocity=velocity)
+
+
+def with_images(batches: list[Batch], order: list[int], how: Sequence[str], size_x: float, size_y: float,
+                ) -> tuple[list[Batch], list[int]]:
+    """Return batches and order where a batch that comes again comes as another of its mirror images.
+
+    ``how``: as :func:`mirrored`; n of them make 2**n images, which a batch takes in turn, itself first.
+    """
+    batches, order = list(batches), list(order)
+    uses, known = {}, {}
+    for cycle, index in enumerate(order):
+        image = uses.get(index, 0) % 2 ** len(how)
+        uses[index] = uses.get(index, 0) + 1
+        if image and (index, image) not in known:
+            known[index, image] = len(batches)
+            steps = [step for bit, step in enumerate(how) if image >> bit & 1]
+            batches.append(mirrored(batches[index], steps, size_x, size_y))
+        order[cycle] = known.get((index, image), index)
+    return batches, order
+
+
+# --- velocities -------------------------------------------------------------------------------------------------
+
+
+def _speed_law(scene, batch: Batch) -> Batch:
+    """Return the batch with each sphere's velocity: its own, or the scene's speed law at its x (figure 8b, 10c)."""
+    if batch.velocity is not None:
+        return batch
+    x = np.clip(batch.x, 0.0, float(scene.domain.size[0]))  # a centre outside the box flies like its wall
+    speed = scene.particles.speed_at(x - scene.batches.jet_centre)
+    velocity = speed[:, None] * np.array(scene.particles.direction)
+    return dataclasses.replace(batch, velocity=velocity)
+
+
+def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[Batch]:
+    """Give all spheres velocities of their own if any has one, or the speed depends on the place; check the highest."""
+    own = [batch.velocity is not None for batch in batches]
+    if not any(own) and scene.particles.speed_curvature == 0.0:
+        _warn_of_departure(scene, np.array(scene.particles.velocity[2:]), messages)
+        return batches
+    limit = scene.top_speed
+    for name, batch in zip(scene.batches.files, batches):  # (their mirror images are as fast)
+        if batch.velocity is not None:
+            speeds = np.linalg.norm(batch.velocity, axis=1)
+            row = int(np.argmax(speeds))
+            if speeds[row] > limit * (1.0 + SPEED_TOLERANCE):
+                raise InputError(f"{name}: row {row + 1}: {speeds[row]:.6g} m/s is above the highest speed of "
+                                 f"the scene, {limit:.6g} m/s; raise particles.speed, to which the limits of the "
+                                 "numerics refer")
+    batches = [_speed_law(scene, batch) for batch in batches]
+    _warn_of_departure(scene, np.concatenate([batch.velocity[:, 2] for batch in batches]), messages)
+    speeds = np.concatenate([np.linalg.norm(batch.velocity, axis=1) for batch in batches])
+    messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean")
+    return batches
+
+
+def _warn_of_departure(scene, down: np.ndarray, messages: list[str]) -> None:
+    """Tell when particles (``down``: their velocity along z, m/s) will never come to the substrate."""
+    leaving = int((down >= 0.0).sum())
+    if leaving and scene.domain.substrate_height > 0.0:
+        who = "no particle flies" if leaving == down.size else f"{leaving} of {down.size} particles do not fly"
+        messages.append(f"{who} towards the substrate; it is at the low side of z, so directions and velocities with a "
+                        "negative z lead there")
+
+
+def make_batches(scene) -> BatchPlan:
+    """Read or generate the batches of a scene and order them over the cycles. For rank 0; same seed, same bits.
+
+    Recurring scheme: each batch fills the particle layer; ``order[c]`` is the batch of cycle c, one permutation
+    (shuffled from the seed if asked) repeated cyclically. Standard scheme: the layer is cut into
+    ``batches.count`` equal layers (at least one per file), filled from the bottom in the order in which the recurring
+    scheme would spray (so fewer files than layers repeat), and becomes one batch for the one cycle. Explicit
+    spheres are one batch. Batches are generated for the footprint as written in the scene, so they do not
+    depend on the cell size. With ``batches.mirror_repeats`` a batch that comes again is mirrored (:func:`with_images`).
+    Where files give velocities, or the speed depends on the place, every sphere has its own.
+    Raises InputError for unreadable files, spheres outside the layer or too fast, or nothing to place.
+    """
+    wanted, height = scene.batches, float(scene.domain.particle_layer_height)
+    cycles = scene.cycles.count
+    standard = scene.scheme == "standard"
+    if standard and cycles != 1:
+        raise InputError(f"cycles.count: the standard scheme paints everything at once, so 1 is needed, not {cycles}")
+    messages: list[str] = []
+    shuffle_seed, *batch_seeds = np.random.SeedSequence(wanted.seed).spawn(max(wanted.count, 0) + 1)
+    shuffler = np.random.Generator(np.random.PCG64(shuffle_seed))
+    layers = max(wanted.count, len(wanted.files), 1) if standard else 1
+    layer_height = height / layers
+    if len(wanted.spheres):
+        batches = [_given_spheres(scene, messages)]
+    elif len(wanted.files):
+        batches = _read_files(scene, layer_height, messages)
+    else:
+        batches = _generate(scene, layer_height, batch_seeds, messages)
+    order = cycle_order(layers if standard else cycles, len(batches), wanted.shuffle, shuffler)
+    batches, order = with_images(batches, order, wanted.mirror_repeats, *map(float, scene.domain.size[:2]))
+    batches = _with_velocities(scene, batches, messages)
+    if not standard:
+        return BatchPlan(batches, order, messages)
+    return BatchPlan([stack([batches[index] for index in order], layer_height)], [0], messages)
