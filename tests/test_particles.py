@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -329,6 +330,17 @@ def test_order_without_shuffle_and_with():
     shuffled = cycle_order(12, 6, True, generator(1))
     assert sorted(shuffled[:6]) == list(range(6))
     assert shuffled[:6] == shuffled[6:] != list(range(6))
+
+
+def test_a_packing_says_how_much_of_its_box_is_full():
+    """Spheres stick out of a narrow box. Fails when ``message`` counts what lies outside."""
+    packed = pack(np.full(60, 30 * UM), (36 * UM, 36 * UM, 300 * UM), 1.02, generator(1), 2000)
+    assert packed.placed < 60
+    share = float(re.search(r"([\d.]+) % of the volume", packed.message()).group(1))
+    inside = sum(clipped_volume(Batch(*([value] for value in sphere)), 36 * UM, 36 * UM, 300 * UM)
+                 for sphere in zip(packed.x, packed.y, packed.z, packed.r))
+    assert share == pytest.approx(100.0 * inside / (36 * UM * 36 * UM * 300 * UM), abs=0.1)
+    assert share < 75.0
 
 
 def test_packing_shortfall_is_told():

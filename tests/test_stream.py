@@ -202,6 +202,20 @@ def test_counts_that_scatter_more_than_chance_widen_errors_and_bands():
     assert float(four.band(1 * MM)) == pytest.approx(t * math.sqrt(four.dispersion * four.at(1 * MM) + own), rel=1e-5)
 
 
+def test_far_tails_are_no_scatter():
+    """Samples of a pure sech as wide as they come: more than by chance is found as often as it says, once in twenty.
+
+    And one stray particle far out spoils no standard error. Fails when ``_dispersion`` does not pool its bins.
+    """
+    profile = SechProfile(0.0, 1.4 * MM)
+    found = [fit_number(profile.sample(3000, -60 * MM, 60 * MM, generator(seed)), "test") for seed in range(100)]
+    assert sum(fit.dispersion > 1.0 for fit in found) <= 12
+    inner = profile.sample(3000, -3.5 * MM, 3.5 * MM, generator(1))
+    fit = fit_number(np.append(inner, 50 * MM), "test")
+    assert np.isfinite(fit.errors).all()
+    assert abs(fit.centre) < 3.0 * fit.errors[1] < 0.9 * MM  # (in bins of 1.8 mm)
+
+
 def test_the_record_has_each_number_under_its_name():
     """Fails when values and errors of a fit are paired in another order, or a band is not that of the middle."""
     fit = fit_stream(read_measurement("synthetic"))

@@ -119,7 +119,8 @@ def _merge(flooded: np.ndarray, height: np.ndarray, count: int, prominence: floa
 
     for (a, b), h in sorted(passes.items(), key=lambda item: item[1]):
         a, b = root(a), root(b)
-        if a != b and h - max(floor[a], floor[b]) < prominence * h:
+        # (an equal sign for the minima that a plateau was split into, also one of no PEEQ)
+        if a != b and h - max(floor[a], floor[b]) <= prominence * h:
             deeper, other = (a, b) if floor[a] <= floor[b] else (b, a)
             parent[other] = deeper
     found = np.array([root(label) for label in range(count + 1)])
@@ -162,7 +163,7 @@ def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground:
             continue
         own = found[place] == label
         rows = np.nonzero(own)[0] + place[0].start
-        if own.sum() < least_pixels or rows.mean() < ground or free[label] > MOST_FREE:
+        if own.sum() < least_pixels or rows.mean() + 0.5 < ground or free[label] > MOST_FREE:
             continue
         tall.append((place[0].stop - place[0].start) * dx)
         widths.append((place[1].stop - place[1].start) * dx)

@@ -161,7 +161,7 @@ def flattening_figure(path: str | os.PathLike,
 
 
 def particle_sizes(path: str | os.PathLike, runs: Sequence[tuple[str, np.ndarray]]) -> None:
-    """Draw the share of the painted volume in particles below each diameter; ``runs``: (name, diameters (m))."""
+    """Draw the share of the volume put in that is in particles below each diameter; ``runs``: (name, diameters (m))."""
     with canvas(path, 4.8, 2.8) as figure:
         axes = figure.add_subplot()
         for number, (label, diameters) in enumerate(runs):

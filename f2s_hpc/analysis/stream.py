@@ -25,7 +25,7 @@ _SPEED, _PER_MM, _PER_MM2 = (1.0, "m/s"), (1e-3, "m/s/mm"), (1e-6, "m/s/mm2")
 def format_stream(fit: StreamFit) -> str:
     """Return the fits as text: a table of coefficients, then what it means and the keys for a scene.
 
-    The band is the half width of the 90 % prediction band in the middle of the range.
+    The band is the half width of the 90 % prediction band in the middle of the range, that of the number on the axis.
     """
     number, measured = fit.number, fit.measurement
     bin_width = 1e3 * (number.edges[1] - number.edges[0])
@@ -50,7 +50,7 @@ def format_stream(fit: StreamFit) -> str:
              f"velocities {measured.velocity.min():.1f} to {measured.velocity.max():.1f} m/s")
     lines = [first, "", *_aligned(_HEAD, rows), "",
              f"velocity by the line over the diameter: {at}",
-             "bands: 90 % prediction bands, half width in the middle of the range"
+             "bands: 90 % prediction bands, half width in the middle of the range, of the number on the axis"
              + ("" if number.dispersion == 1.0 else
                 f"; counts scatter {number.dispersion:.2f} times as much as by chance alone (Poisson)")]
     return "\n".join(lines)

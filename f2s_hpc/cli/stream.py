@@ -123,7 +123,7 @@ def _test_places(json_file: str | None, folder: str | None = None) -> None:
 
 
 def _write_json(path: str, record: dict) -> None:
-    places.write_text(path, json.dumps(record, indent=2) + "\n")
+    places.write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
 
 
 def _say(text: str) -> None:

@@ -7,12 +7,14 @@ crowd that no packing can hold is told beforehand.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from f2s_hpc._jit import kernel
 from f2s_hpc.errors import InputError
+from f2s_hpc.kernels.sphere import sphere_box_volume
 
 FIRST_BLOCK, LARGEST_BLOCK = 64, 4096
 DENSEST = 0.64
@@ -46,7 +48,9 @@ class PackingResult:
     def message(self) -> str:
         """Return one sentence: how many spheres were placed, how densely, and what to change if not all."""
         lx, ly, lz = (f"{1e3 * length:g}" for length in self.box)
-        share = 4.0 / 3.0 * np.pi * float(np.sum(self.r**3)) / float(np.prod(self.box))
+        inside = math.fsum(sphere_box_volume(*sphere, 0.0, self.box[0], 0.0, self.box[1], 0.0, self.box[2])
+                           for sphere in zip(self.x, self.y, self.z, self.r))
+        share = inside / math.prod(self.box)
         text = (f"placed {self.placed} of {self.requested} spheres in {lx} x {ly} x {lz} mm at gap factor "
                 f"{self.gap_factor:g} (reached {self.reached_gap:.4f}, {100 * share:.1f} % of the volume)")
         if self.placed < self.requested:

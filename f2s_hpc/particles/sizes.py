@@ -15,6 +15,10 @@ from f2s_hpc.errors import InputError
 
 PERCENTILES = (0.10, 0.50, 0.90)
 TABLE_POINTS = 16385
+MET = 1e-3
+"""A relative deviation of a percentile that is none."""
+FLAT = 7.0
+"""How much farther the logarithm of the scale may go where the first range was too small."""
 SMALLEST, WIDEST = 1e-12, 1e6
 """Least diameter (m), and the largest over it: the widest range to the largest exponent tried is still a number."""
 
@@ -74,6 +78,10 @@ class RosinRammler:
         bounds = ([np.log(minimum), np.log(0.05)], [np.log(maximum) + 1.0, np.log(50.0)])
         first = np.clip([np.log(d50), np.log(spread)], np.add(bounds[0], 1e-6), np.subtract(bounds[1], 1e-6))
         best = least_squares(deviation, first, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        if best.x[0] > bounds[1][0] - 1e-3:
+            # cut off so far below its scale, the powder is flat up to the largest diameter
+            bounds[1][0] += FLAT
+            best = least_squares(deviation, best.x, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         return cls(float(np.exp(best.x[0])), float(np.exp(best.x[1])), minimum, maximum)
 
     def misfit(self, d10: float, d50: float, d90: float) -> tuple[float, float, float]:
@@ -85,8 +93,10 @@ class RosinRammler:
         """Return one sentence: the fitted parameters and the percentiles they give against the wanted ones."""
         own = " / ".join(f"{1e6 * value:.1f}" for value in self.volume_percentile(PERCENTILES))
         wanted = " / ".join(f"{1e6 * value:.1f}" for value in (d10, d50, d90))
+        met = max(map(abs, self.misfit(d10, d50, d90))) < MET
         return (f"particle sizes: Rosin-Rammler with scale {1e6 * self.scale:.2f} um and exponent {self.exponent:.3f} "
-                f"has D10 / D50 / D90 of {own} um, wanted {wanted} um (two parameters cannot meet all three)")
+                f"has D10 / D50 / D90 of {own} um, wanted {wanted} um"
+                + ("" if met else " (two parameters cannot meet all three)"))
 
     def mean_particle_volume(self) -> float:
         """Return the mean volume (m3) of a particle, each counting once: what divides a volume into a number.

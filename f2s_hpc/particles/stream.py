@@ -31,6 +31,12 @@ LEAST_BINS, MOST_BINS = 8, 60
 LEAST_SPAN, MOST_SPAN = 1e-9, 1e3
 """Range of lateral positions (m) beyond which their unit is wrong."""
 
+LEAST_EXPECTED = 5.0
+"""Particles expected in a pool of bins whose scatter is judged."""
+
+LEAST_TOLD = 1e-9
+"""A bin in which fewer particles are expected tells nothing of the curve."""
+
 NARROWEST, FLATTEST = 1e-3, 3.0
 """Width, in measured ranges, that a sech is looked for from, and the widest that counts as one: it falls by 1.4 % from
 its peak to the end of the range."""
@@ -76,8 +82,9 @@ class NumberFit:
 
     ``peak`` (particles per m on the axis), ``centre``, ``width`` (m) and ``errors`` (the three standard errors, in
     this order); ``r2`` over the bins; ``edges`` (bins + 1,) and ``counts`` (bins,) are what was fitted.
-    ``dispersion``: variance of the bins over that of a Poisson count, which widens errors and bands: chi2 / (bins - 3)
-    where chance alone gives so much less than once in twenty times, else 1.
+    ``dispersion``: variance of the bins over that of a Poisson count, which widens errors and bands: chi2 / ``freedom``
+    (bins, pooled where few are expected, less 3) where chance alone gives so much less than once in twenty times,
+    else 1.
     """
 
     peak: float
@@ -86,6 +93,7 @@ class NumberFit:
     errors: np.ndarray
     r2: float
     dispersion: float
+    freedom: int
     edges: np.ndarray
     counts: np.ndarray
     covariance: np.ndarray = field(repr=False)
@@ -106,13 +114,13 @@ class NumberFit:
 
         q sqrt(dispersion N + J C J^T): the count's own scatter and that of the curve, J the slopes of the curve by
         peak, centre and width, C their covariance; q the 0.95 quantile, normal where the dispersion is that of chance,
-        else Student's with bins - 3 degrees of freedom.
+        else Student's with ``freedom``.
         """
         half = 0.5 * (self.edges[1] - self.edges[0])
         x = np.asarray(x, dtype=np.float64)
         slopes = _slopes(np.array([self.peak, self.centre, self.width]), x - half, x + half)
         own = np.einsum("...i,ij,...j->...", slopes, self.covariance, slopes)
-        freedom = self.counts.size - 3 if self.dispersion > 1.0 else np.inf
+        freedom = self.freedom if self.dispersion > 1.0 else np.inf
         return student.ppf(0.5 + 0.5 * CONFIDENCE, freedom) * np.sqrt(self.dispersion * self.at(x) + own)
 
 
@@ -226,11 +234,39 @@ def fit_number(position: np.ndarray, label: str, bins: int | None = None) -> Num
     parameters = best.x * units
     number = _expected(parameters, edges[:-1], edges[1:])
     slopes = _slopes(parameters, edges[:-1], edges[1:]) * units
-    scatter = float(np.square(counts - number).dot(1.0 / number))
-    dispersion = scatter / (bins - 3) if scatter > chi2.ppf(0.95, bins - 3) else 1.0
-    covariance = dispersion * np.linalg.inv(slopes.T @ (slopes / number[:, None])) * np.outer(units, units)
-    return NumberFit(*(float(p) for p in parameters), np.sqrt(np.diag(covariance)), _r2(counts, counts - number),
-                     dispersion, edges, counts, covariance)
+    dispersion, freedom = _dispersion(counts, number)
+    told = number > LEAST_TOLD
+    fisher = slopes[told].T @ (slopes[told] / number[told, None])
+    covariance = dispersion * np.linalg.pinv(fisher, hermitian=True) * np.outer(units, units)
+    errors = np.sqrt(np.diag(covariance))
+    if not (np.isfinite(errors).all() and np.linalg.matrix_rank(fisher, hermitian=True) == fisher.shape[0]):
+        raise InputError(f"{label}: the counts over the lateral position do not tell a sech's peak, centre and width "
+                         f"({position.size} particles from {1e3 * low:.4g} to {1e3 * high:.4g} mm, in {bins} bins)")
+    return NumberFit(*(float(p) for p in parameters), errors, _r2(counts, counts - number), dispersion, freedom,
+                     edges, counts, covariance)
+
+
+def _dispersion(counts: np.ndarray, number: np.ndarray) -> tuple[float, int]:
+    """Return the dispersion of ``counts`` about the ``number`` expected (see ``NumberFit``) and its degrees of freedom.
+
+    Neighbouring bins are pooled until ``LEAST_EXPECTED`` are expected in each: chi2 is no chi2 where one stray particle
+    counts with the inverse of next to nothing.
+    """
+    pools = [[0.0, 0.0]]
+    for found, expected in zip(counts, number):
+        if pools[-1][1] >= LEAST_EXPECTED:
+            pools.append([0.0, 0.0])
+        pools[-1][0] += found
+        pools[-1][1] += expected
+    if len(pools) > 1 and pools[-1][1] < LEAST_EXPECTED:
+        rest = pools.pop()
+        pools[-1] = [pools[-1][0] + rest[0], pools[-1][1] + rest[1]]
+    freedom = len(pools) - 3
+    if freedom < 1:
+        return 1.0, 0
+    found, expected = np.array(pools).T
+    scatter = float((np.square(found - expected) / expected).sum())
+    return (scatter / freedom if scatter > chi2.ppf(0.95, freedom) else 1.0), freedom
 
 
 def fit_stream(measurement: Measurement) -> StreamFit:

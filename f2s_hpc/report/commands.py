@@ -21,12 +21,15 @@ from f2s_hpc.report.experiment import read_profile, write_columns
 from f2s_hpc.report.handover import check_handover, memory_needed
 from f2s_hpc.report.measure import Measurements, Settings, measure
 from f2s_hpc.report.page import build_page
-from f2s_hpc.report.quantities import depth_tables, quantities, tables
+from f2s_hpc.report.quantities import ROUND_OFF, depth_tables, quantities, tables
 from f2s_hpc.units import pretty_bytes
 
 ANALYSIS, REPORT = "analysis", "report.html"
 MEMORY_SHARE = 0.7
 """The hand-over is not checked when the state of the run takes more than this share of the machine's memory."""
+
+LATER = 1e-6
+"""Share of the time by which two states may be apart and count as of the same time."""
 
 _MICRO = 1e6
 
@@ -74,7 +77,7 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
         print(f"\nHand-over between cycles: {facts.handover_text(found.handover)}")
     for note in found.notes:
         print(f"note: {note}")
-    numbers = json.dumps(as_dictionary(found), indent=1, ensure_ascii=False) + "\n"
+    numbers = json.dumps(as_dictionary(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     for path in [place / "analysis.json", *([json_file] if json_file else [])]:
         places.write_text(path, numbers)
     _write_tables(place, found)
@@ -111,8 +114,19 @@ def compare_measurements(first: str, second: str, settings: Settings) -> str:
     runs = [(label, measured(folder, settings, handover=False))
             for label, folder in zip(run_labels([first, second]), (first, second))]
     parts = [table.as_text() for table in [*tables(runs), *depth_tables(runs)]]
-    return "\n\n".join([*parts, _profile_difference(runs), facts.flattening_verdict([n for n, _ in runs], runs[0][1],
-                                                                                      runs[1][1])])
+    return "\n\n".join([f"Compared: {facts.subtitle(runs)}", *parts, _profile_difference(runs),
+                        facts.flattening_verdict([n for n, _ in runs], runs[0][1], runs[1][1]),
+                        *("\n".join(lines) for lines in [_comparison_notes(runs)] if lines)])
+
+
+def _comparison_notes(runs: facts.Runs) -> list[str]:
+    """Return the notes of both runs, and whether the states compared are of different times."""
+    notes = [f"note ({label}): {text}" for label, m in runs for text in m.notes]
+    (cycle, time), (other, second) = ((m.deposit.cycle, m.deposit.time) for _, m in runs)
+    if cycle != other or abs(second - time) > LATER * max(time, second):
+        notes.append(f"note: the states are of different times, the ends of cycle {cycle} and {other}, "
+                     f"{_MICRO * time:.3f} and {_MICRO * second:.3f} µs")
+    return notes
 
 
 def run_labels(folders: Sequence[str]) -> list[str]:
@@ -129,10 +143,12 @@ def _profile_difference(runs: facts.Runs) -> str:
         return "Mean profiles: no place in common"
     gap = np.interp(one.x[inside], two.x, two.height) - one.height[inside]
     rms = float(np.sqrt((gap**2).mean()))
-    scale = max(float(one.height.max()), 1e-30)
+    scale = float(one.height.max())
     worst = float(np.abs(gap).max())
-    return (f"Mean profiles: {_MICRO * rms:.2f} µm apart (root mean square), at most {_MICRO * worst:.2f} µm; "
-            f"{100 * rms / scale:.1f} and {100 * worst / scale:.1f} % of the maximum of the first")
+    text = f"Mean profiles: {_MICRO * rms:.2f} µm apart (root mean square), at most {_MICRO * worst:.2f} µm"
+    if scale <= ROUND_OFF * runs[0][1].deposit.dx:
+        return text
+    return f"{text}; {100 * rms / scale:.1f} and {100 * worst / scale:.1f} % of the maximum of the first"
 
 
 def as_dictionary(found: Measurements) -> dict:

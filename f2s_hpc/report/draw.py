@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pathlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def draw_all(folder: pathlib.Path, runs: Sequence[tuple[str, Measurements]]) -> 
 
     first = runs[0][1]
     across = profile.across(first.settings.along)
-    figures.profiles(place("profile"), [(label, m.profile) for label, m in runs], _spread(first), first.experiment,
+    figures.profiles(place("profile"), [_laid_over(label, m) for label, m in runs], _spread(first), first.experiment,
                      across, first.paper_height)
     figures.depth_bands(place("depth"), [(label, m.distributions) for label, m in runs])
     figures.flattening_figure(place("flattening"), [(label, m.flattening, m.fits) for label, m in runs])
@@ -54,6 +55,15 @@ def draw_all(folder: pathlib.Path, runs: Sequence[tuple[str, Measurements]]) -> 
         if m.rough_along is not None:
             _roughness(place("roughness", number), m)
     return drawn
+
+
+def _laid_over(label: str, found: Measurements) -> tuple[str, profile.Profile]:
+    """Return name and profile as they are compared with the experiment: moved where that was asked for."""
+    shift = found.overlap.shift if found.overlap is not None else 0.0
+    if shift == 0.0:
+        return label, found.profile
+    return (f"{label or 'mean profile'}, moved by {1e6 * shift:.1f} µm",
+            replace(found.profile, x=found.profile.x + shift))
 
 
 def _frame(deposit: Deposit, section: Section) -> section_figures.Frame:

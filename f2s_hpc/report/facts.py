@@ -93,7 +93,7 @@ def scene_table(runs: Runs) -> Table:
 
 
 def particle_table(runs: Runs) -> Table:
-    """Return number and sizes of the particles painted."""
+    """Return number and sizes of the particles put in so far, those in flight too."""
     def size(share: float) -> Callable[[Measurements], str]:
         def text(m: Measurements) -> str:
             d = m.deposit.diameters
@@ -101,7 +101,7 @@ def particle_table(runs: Runs) -> Table:
         return text
 
     return _rows(runs, (
-        ("particles painted", lambda m: f"{m.deposit.diameters.size:,}"),
+        ("particles put in", lambda m: f"{m.deposit.diameters.size:,}"),
         *((f"D{100 * share:.0f} by volume", size(share)) for share in (0.1, 0.5, 0.9)),
         ("cells per D50", lambda m: f"{median_diameter(m.deposit) / m.deposit.dx:.1f}")))
 
@@ -244,13 +244,15 @@ def findings(runs: Runs) -> list[str]:
             text += f"; Sa {1e6 * m.areal.Sa:.2f} µm at a cutoff of {1e6 * m.areal.cutoff:g} µm"
         if m.overlap is not None:
             text += (f"; overlap with the experiment {100 * m.overlap.over_union:.1f} %, which covers "
-                     f"{100 * m.overlap.covered:.0f} % of the simulated width")
+                     f"{100 * m.overlap.covered:.0f} % of the simulated width and is simulated over "
+                     f"{100 * m.overlap.second_covered:.0f} % of its own")
         texts.append(f"{text}.")
         if m.traced is not None:
             texts.append(f"{label + ': ' if label else ''}{traced_finding(m)}.")
     if len(runs) == 2:
         texts.append(flattening_verdict([label for label, _ in runs], runs[0][1], runs[1][1]))
         medians = [float(deposit_percentiles(m, "peeq")[SHARES.index(0.5)]) for _, m in runs]
-        texts.append(f"Median PEEQ of the deposit: {medians[0]:.3f} ({runs[0][0]}) and {medians[1]:.3f} ({runs[1][0]}, "
+        one, two = ("-" if math.isnan(median) else f"{median:.3f}" for median in medians)
+        texts.append(f"Median PEEQ of the deposit: {one} ({runs[0][0]}) and {two} ({runs[1][0]}, "
                      f"{percent(medians[1], medians[0])}).")
     return texts

@@ -191,7 +191,11 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
     if scene.output.tracers and found.traced is None:
         notes.append(f"tracers: no points were saved at the end of cycle {deposit.cycle}")
     _roughness(found)
-    if experiment is not None:
+    if experiment is not None and found.size.maximum <= 0.0:
+        notes.append("overlap: nothing has landed that could be laid over the experiment")
+    elif experiment is not None and whole.x.size < 2:
+        notes.append("overlap: the box is one cell wide across the track, which is no profile to lay over another")
+    elif experiment is not None:
         found.overlap = profile.overlap(whole, experiment, settings.align)
         notes += _cover_notes(found.overlap)
     return found
@@ -212,6 +216,10 @@ def _roughness(found: Measurements) -> None:
     across = profile.across(along)
     if min(deposit.surface.shape) < 3:
         found.notes.append("roughness: the box is narrower than three cells")
+        return
+    if cutoff == Settings.cutoff and cutoff < roughness.LEAST_CELLS * deposit.dx:
+        found.notes.append(f"roughness: a cutoff of {1e6 * cutoff:g} µm needs cells of a quarter of it; --cutoff gives "
+                           "a longer one")
         return
     found.rough_along = roughness.profile_roughness(by_axis[along][0], deposit.dx, cutoff, by_axis[along][1])
     found.rough_across = roughness.profile_roughness(by_axis[across][0], deposit.dx, cutoff, by_axis[across][1])

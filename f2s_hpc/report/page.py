@@ -32,7 +32,7 @@ summary { cursor: pointer; }
 """
 
 _CAPTIONS = {
-    "particles": "Sizes of the particles painted: share of the volume in particles below a diameter.",
+    "particles": "Sizes of the particles put in: share of the volume in particles below a diameter.",
     "profile": "Profile across the track: mean height along it.",
     "height-map": "Surface height above the substrate top, seen from above.",
     "roughness": "One profile with its Gaussian mean line, and what is left: the roughness.",

@@ -13,9 +13,11 @@ from f2s_hpc.analysis import profile
 from f2s_hpc.analysis.depth import SHARES
 from f2s_hpc.analysis.flattening import Regression
 from f2s_hpc.report.measure import Measurements, deposit_percentiles
-from f2s_hpc.report.traced import APART, CUT
+from f2s_hpc.report.traced import APART, CUT, FEW
 
 _INDENT = "   "
+ROUND_OFF = 1e-9
+"""A reference so much smaller than what is compared with it is none."""
 PAPER_POROSITY = 0.0053
 """Image porosity of the paper's simulated multi-track deposit, section 5.3 (0.31 % in its micrograph)."""
 
@@ -44,16 +46,19 @@ class Quantity:
     def text(self, value: float | None = None) -> str:
         """Return ``value`` (SI; default: its own) in the unit shown, without the unit; "-" where there is none."""
         value = self.value if value is None else value
-        return "-" if value is None or not math.isfinite(value) else f"{value * self.scale:{self.form}}"
+        if not _known(value):
+            return "-"
+        text = f"{value * self.scale:{self.form}}"
+        return text if float(text) else f"{0.0:{self.form}}"  # (no negative zero)
 
     def off(self, value: float | None, reference: float | None) -> str:
-        """Return how much ``value`` exceeds ``reference`` (SI) as text: in percent, or for a share, in points.
+        """Return how much ``value`` exceeds ``reference`` (SI) as text: in percent, for a share in points, in K.
 
         A percentage of a porosity near zero would make much of nothing.
         """
         if self.unit != "%":
-            return percent(value, reference)
-        if value is None or reference is None or not (math.isfinite(value) and math.isfinite(reference)):
+            return (kelvins if self.unit == "°C" else percent)(value, reference)
+        if not _known(value, reference):
             return "-"
         digits = self.form.lstrip("+")
         return f"{round((value - reference) * self.scale, int(digits[1:-1])) + 0.0:+{digits}} points"
@@ -182,6 +187,7 @@ def _traced(found: Measurements) -> list[Quantity]:
     five, six = _mean(flat.equation_5), _mean(flat.equation_6)
     rows = [count("particles", "particles measured", flat.count), count("cut", "cut by a side", traced.number(CUT)),
             count("apart", "flying, rebounded or gone", traced.number(APART)),
+            count("few", "with too few points in the deposit for a shape", traced.number(FEW)),
             count("waiting", "not on the grid yet", traced.waiting), count("points", "points", traced.points),
             count("in_void", f"{_INDENT}of them in void cells", traced.in_void),
             count("outside", f"{_INDENT}of them outside of the box", traced.outside),
@@ -226,12 +232,24 @@ def _overall(found: Measurements) -> list[Quantity]:
     return rows
 
 
+def _known(*values: float | None) -> bool:
+    return all(value is not None and math.isfinite(value) for value in values)
+
+
 def percent(first: float | None, second: float | None) -> str:
-    """Return how much ``first`` exceeds ``second``, in percent of it, as text; "-" where that has no meaning."""
-    if first is None or second is None or not (math.isfinite(first) and math.isfinite(second)) or second == 0.0:
-        return "-" if first != second else "0.0 %"
+    """Return how much ``first`` exceeds ``second``, in percent of its size, as text; "-" where that has no meaning.
+
+    That is also where the second is round-off beside the first.
+    """
+    if not _known(first, second) or (abs(second) <= ROUND_OFF * abs(first) and first != second):
+        return "-"
     # + 0.0 turns a negative zero into a plain one
-    return f"{round(100.0 * (first / second - 1.0), 1) + 0.0:+.1f} %"
+    return f"{round(100.0 * (first - second) / (abs(second) or 1.0), 1) + 0.0:+.1f} %"
+
+
+def kelvins(first: float | None, second: float | None) -> str:
+    """Return how much a temperature exceeds another, as text: a percentage would hang on where degC has its zero."""
+    return f"{round(first - second, 1) + 0.0:+.1f} K" if _known(first, second) else "-"
 
 
 @dataclass(frozen=True)
@@ -255,7 +273,8 @@ def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
 
     What either run has is shown, in order. Titles and names hold numbers of a run (a cutoff, a length): where the runs
     differ both are named. With two runs a column tells by how much the second exceeds the first: in percent, shares in
-    points. The paper is compared with the first run for which it has values.
+    points. Temperatures
+    in K. The paper is compared with the first run for which it has values.
     """
     labels = [label for label, _ in runs]
     by_topic: list[dict[str, dict[str, Quantity]]] = []
@@ -310,7 +329,8 @@ def _both(texts: Sequence[str | None], labels: Sequence[str]) -> str:
     if len({text for text, _ in there}) == 1:
         return there[0][0]
     heads = [re.split(r", | \(", text)[0] for text, _ in there]
-    cut = len(heads[0]) if len(set(heads)) == 1 else 0
+    # (where one is all that they have in common, both are written whole)
+    cut = len(heads[0]) if len(set(heads)) == 1 and all(len(text) > len(heads[0]) for text, _ in there) else 0
     return heads[0][:cut] + "; ".join(f"{text[cut:] if n == 0 else text[cut:].lstrip(', ')} [{label}]"
                                       for n, (text, label) in enumerate(there))
 
@@ -337,7 +357,8 @@ def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
         if len(runs) == 2:
             other = runs[1][1].distributions[name]
             known = np.isfinite(other.median)
-            columns.append(np.interp(own.middle, other.middle[known], other.median[known], left=np.nan, right=np.nan))
+            columns.append(np.interp(own.middle, other.middle[known], other.median[known], left=np.nan, right=np.nan)
+                           if known.any() else np.full(own.low.size, np.nan))
         rows = []
         for n in range(own.low.size):
             values = [(float(column[n]) - shift) * scale for column in columns]
@@ -346,7 +367,7 @@ def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
             if len(runs) == 1:
                 line += [f"{(v - shift) * scale:{form}}" for v in own.percentiles[n][[0, -1]]]
             else:
-                line.append(percent(values[1], values[0]))
+                line.append(kelvins(values[1], values[0]) if name == "temperature" else percent(values[1], values[0]))
             rows.append(line)
         head = (["height", "median", "5 %", "95 %"] if len(runs) == 1
                 else ["height", *(label for label, _ in runs), "difference"])

@@ -17,10 +17,11 @@ from f2s_hpc.analysis.flattening import (
 from f2s_hpc.io.tracers import ParticleTable
 from f2s_hpc.report.deposit import Deposit
 
-MEASURED, CUT, APART = "measured", "cut by a side", "not in the deposit"
+MEASURED, CUT, APART, FEW = "measured", "cut by a side", "not in the deposit", "too few points"
 """What became of a particle. One that flies, rebounded or left has less than half its points in the deposit."""
 
 LEAST_SHARE = 0.5
+EDGE = 1e-6  # cells: places are saved in single precision, so that one on a side may read as beyond it
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +60,15 @@ def trace(deposit: Deposit) -> TracedParticles | None:
         return None
     total = cloud.particles.diameter.size
     number = np.array(deposit.fraction.shape[::-1])
-    # a point on the high side is inside
-    inside = ((cloud.position >= 0.0) & (cloud.position <= number * deposit.dx)).all(axis=1)
+    slack = EDGE * deposit.dx * number
+    inside = ((cloud.position >= -slack) & (cloud.position <= number * deposit.dx + slack)).all(axis=1)
     i, j, k = np.clip(np.floor(cloud.position / deposit.dx).astype(np.int64), 0, number - 1).T
     there = inside & deposit.landed[k, j, i] & (cloud.fraction > 0.0)
     held = np.bincount(cloud.particle, minlength=total)
     landed = np.bincount(cloud.particle[there], minlength=total)
     share = landed / np.maximum(held, 1)
-    apart = (share < LEAST_SHARE) | (landed < LEAST_POINTS)
-    fates = np.where(cloud.particles.cut, CUT, np.where(apart, APART, MEASURED))
+    fates = np.where(landed < LEAST_POINTS, FEW, MEASURED)
+    fates = np.where(cloud.particles.cut, CUT, np.where(share < LEAST_SHARE, APART, fates))
     chosen = there & (fates == MEASURED)[cloud.particle]
     flat = flattening_from_points(cloud.particle[chosen], cloud.position[chosen], cloud.particles.diameter)
     fits = {"equation_5": regression(flat.width, flat.equation_5),

@@ -1,0 +1,97 @@
+"""Analyses at their edges: nothing landed, round-off, moved profiles, coarse cells, PEEQ of zero."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+import re
+
+import numpy as np
+import pytest
+from test_report_numbers import DX, GROUND, SCENE, SETTINGS, made
+
+from f2s_hpc.analysis.boundaries import basins
+from f2s_hpc.analysis.profile import Profile
+from f2s_hpc.config import parse_scene
+from f2s_hpc.errors import InputError
+from f2s_hpc.report import facts
+from f2s_hpc.report.commands import compare_measurements
+from f2s_hpc.report.draw import draw_all
+from f2s_hpc.report.measure import Settings, measure
+from f2s_hpc.report.quantities import Quantity, percent
+
+
+def test_an_empty_deposit_is_compared_and_drawn_without_nonsense(monkeypatch, tmp_path):
+    """Nothing lies on the substrate of one run, which has none itself: no number of it, and no percentage of nothing.
+
+    Fails when ``depth_tables`` interpolates in no layer, or ``percent`` divides by what is round-off.
+    """
+    first = made()
+    nothing = np.zeros_like(first.fraction)
+    bare = dataclasses.replace(first, fraction=nothing, landed=nothing > 0.0,
+                               surface=np.full_like(first.surface, GROUND * DX - 7e-21))
+    both = {"a": first, "b": bare}
+    monkeypatch.setattr("f2s_hpc.report.commands.load_deposit", lambda folder, cycle: both[folder])
+    for one, two in (("a", "b"), ("b", "a")):
+        said = compare_measurements(one, two, SETTINGS)
+        assert "nan" not in said
+        assert "-0.00" not in said
+        assert max(map(float, re.findall(r"([\d.]+) (?:%|µm)", said)), default=0.0) < 1e6
+    runs = [(name, measure(deposit, SETTINGS)) for name, deposit in both.items()]
+    assert "PEEQ of the deposit: 2.000 (a) and - (b, -)" in " ".join(facts.findings(runs))
+    assert draw_all(tmp_path, runs)["profile"][0].exists()
+    scan = Profile(np.array([0.0, 60e-6]), np.array([10e-6, 10e-6]))
+    assert "overlap: nothing has landed" in " ".join(measure(bare, SETTINGS, scan).notes)
+
+
+def test_percentages_are_of_the_size_of_what_they_refer_to():
+    """-1 is more than -2: by half of its size. Fails when the sign of the reference turns that of the difference."""
+    assert percent(-1e-6, -2e-6) == "+50.0 %"
+    assert percent(-3.0, 2.0) == "-250.0 %"
+    assert percent(1.0, 1e-12) == percent(1.0, 0.0) == percent(None, 1.0) == "-"
+    assert percent(0.0, 0.0) == "+0.0 %"
+    degrees = Quantity("state", "temperature_p50_degC", "temperature, median", 40.0, "°C", 1.0, ".1f")
+    assert degrees.off(40.0, 20.0) == "+20.0 K"
+
+
+def test_a_comparison_tells_of_different_times_and_passes_notes_on(monkeypatch):
+    """Fails when ``compare_measurements`` leaves out what the measurements note."""
+    first = made()
+    later = dataclasses.replace(first, cycle=2, time=4e-9, detached=1e-15)
+    both = {"a": first, "b": later}
+    monkeypatch.setattr("f2s_hpc.report.commands.load_deposit", lambda folder, cycle: both[folder])
+    said = compare_measurements("a", "b", SETTINGS)
+    assert "a: 10 particles, cycle 1 of 3, 0.002 µs" in said.splitlines()[0]
+    assert "the ends of cycle 1 and 2" in said
+    assert "note (b): heights: 1e+03 µm³ of slow fragments hang in the air" in said
+    assert "different times" not in compare_measurements("a", "a", SETTINGS)
+
+
+def test_the_profile_is_drawn_where_it_was_compared(monkeypatch, tmp_path):
+    """Fails when ``draw_all`` gives ``profiles`` the profile before it was moved."""
+    deposit = made()
+    own = measure(deposit, SETTINGS).profile
+    found = measure(deposit, dataclasses.replace(SETTINGS, align=True), dataclasses.replace(own, x=own.x + 3e-4))
+    drawn = []
+    monkeypatch.setattr("f2s_hpc.analysis.figures.profiles", lambda path, runs, *more: drawn.extend(runs))
+    draw_all(tmp_path, [("", found)])
+    (name, profile), = drawn
+    assert name == "mean profile, moved by 300.0 µm"
+    assert np.allclose(profile.x, own.x + 3e-4)
+
+
+def test_cells_too_coarse_for_the_usual_cutoff_leave_roughness_out():
+    """One that was asked for is refused. Fails when ``_roughness`` lets the filter judge both."""
+    coarse = made(pathlib.Path("nowhere"), 'domain.cell_size="2 um"')
+    coarse = dataclasses.replace(coarse, scene=parse_scene(SCENE.replace('"2 um"', '"24 um"'), "test"))
+    assert any("--cutoff" in note for note in measure(coarse, Settings()).notes)
+    with pytest.raises(InputError, match="cutoff 81 um"):
+        measure(coarse, Settings(cutoff=81e-6))
+
+
+def test_basins_of_no_peeq_are_one_particle_each():
+    """Fails when ``_merge`` asks for a ridge lower than its share of nothing."""
+    y, x = np.mgrid[:40, :40] - 19.5
+    distance = np.hypot(x, y)
+    peeq = np.where((distance > 10.0) & (distance < 13.0), 2.0, 0.0)
+    assert basins(peeq, np.full(peeq.shape, True), smoothing=0.0).max() == 2
