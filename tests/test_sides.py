@@ -8,6 +8,7 @@ import pytest
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.grid.box import SIDES
+from f2s_hpc.particles.batch import Batch, clipped_volume
 from f2s_hpc.verify.scenes import prepare, run_cycles, scene_setup, write_scene
 
 pytestmark = pytest.mark.mpi
@@ -76,3 +77,18 @@ def test_the_first_look_reckons_with_steps_of_full_size():
     supply = Supply(scene, plan, setup.state, setup.model, setup.clock, setup.ledger)
     supply.insert(0)
     assert supply.land() is not None
+
+
+@pytest.mark.parametrize("direction", [(0.2, 0.0, -1.0), (-0.2, 0.0, -1.0), (0.0, 0.0, -1.0)])
+def test_a_sphere_that_a_mirror_cuts_is_put_in_as_cut_wherever_it_flies(direction):
+    """It weighs what the box holds of it at the start. Fails when ``_at_side`` looks only where spheres fly to.
+    """
+    sphere = (2e-6, 15e-6, 22e-6, 5e-6)
+    scene = write_scene(CELLS, DX, "copper-ge", 500.0, 60e-9, spheres=[sphere], temperature=723.0,
+                        faces=dict.fromkeys(SIDES, "symmetry"), overrides=(f"particles.direction={list(direction)}",))
+    setup, substrate = scene_setup(scene)
+    setup.advance_to(60e-9)
+    painted = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate)["painted_volume_m3"]
+    cut = clipped_volume(Batch(*(np.array([value]) for value in sphere)), *(n * DX for n in CELLS))
+    assert cut < 0.9 * 4.0 / 3.0 * np.pi * sphere[3] ** 3
+    assert painted == pytest.approx(cut, rel=1e-3)

@@ -194,13 +194,17 @@ class Flight:
         return pushed
 
     def _at_side(self, now: Batch, reach: np.ndarray) -> np.ndarray:
-        """Tell which spheres are within reach of a side that they fly towards; the bottom counts, the top does not."""
+        """Tell which spheres are within reach of a side that they fly towards; the bottom counts, the top does not.
+
+        So are those that a side cuts and that fly off it: what is put onto the grid later would be more of them.
+        """
         found = np.zeros(self.count, dtype=np.bool_)
         for axis, place in enumerate((now.x, now.y, now.z)):
             v = self.velocity[:, axis]
             found |= (v < 0.0) & (place - now.r - reach < 0.0)
             if axis < 2:
-                found |= (v > 0.0) & (place + now.r + reach > self.extents[axis])
+                found |= (v > 0.0) & ((place + now.r + reach > self.extents[axis]) | (place - now.r < 0.0))
+                found |= (v < 0.0) & (place + now.r > self.extents[axis])
         return found
 
     def attributes(self) -> dict:

@@ -9,6 +9,7 @@ it is tension beyond its spall strength, and to that sealed cells are held as al
 from __future__ import annotations
 
 from f2s_hpc._jit import borrowed, kernel
+from f2s_hpc.materials.pressure import stiffness, unloaded
 
 TRACE = 2e-3
 """Share of void up to which a cell is sealed: what geometry leaves there. Bulk modulus times this is its tension."""
@@ -18,25 +19,30 @@ INSIDE = 0.9
 
 
 @kernel
-def seal_cells(runs, count, window, shape, spall, bulk_modulus, mass, peeq, fraction):
+def seal_cells(runs, count, window, shape, spall, eos, energy, mass, peeq, fraction):
     """Set the volume fraction of sealed cells in ``window`` to one; mass stays, so they bear tension.
 
     Sealed is what has at most ``TRACE`` of void, has yielded (``peeq`` above zero: in purely geometric motion nothing
-    pulls the void shut again), bears less tension than ``spall`` (Pa; ``bulk_modulus`` in Pa), and lies between six
-    cells that are filled to ``INSIDE``. ``mass``: in full cells, valid one layer around the window.
+    pulls the void shut again), bears less tension than ``spall`` (Pa), and lies between six cells that are filled to
+    ``INSIDE``. ``mass``: in full cells, valid one layer around the window; ``energy`` (J/kg, a field of one number
+    where the pressure does not depend on it): hot material fills a cell with less mass.
     """
     ny, nx = shape
     row, plane = nx, nx * ny
-    least = max(1.0 - TRACE, 1.0 - spall / bulk_modulus)
-    mass, peeq, fraction = borrowed(mass), borrowed(peeq), borrowed(fraction)
+    least = max(1.0 - TRACE, 1.0 - spall / stiffness(eos, 1.0, 0.0))
+    mass, peeq, fraction, energy = borrowed(mass), borrowed(peeq), borrowed(fraction), borrowed(energy)
+    carried = energy.size > 1
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
         cell = (k * ny + j) * nx
         for c in range(cell + max(runs[r, 2], window[4]), cell + min(runs[r, 3], window[5])):
-            if fraction[c] >= 1.0 or mass[c] < least or peeq[c] <= 0.0:
+            if fraction[c] >= 1.0 or peeq[c] <= 0.0:
+                continue
+            free = unloaded(eos, energy[c] if carried else 0.0)
+            if mass[c] < least * free:
                 continue
             around = min(mass[c - 1], mass[c + 1], mass[c - row], mass[c + row], mass[c - plane], mass[c + plane])
-            if around >= INSIDE:
+            if around >= INSIDE * free:
                 fraction[c] = 1.0

@@ -30,7 +30,7 @@ from f2s_hpc.kernels.plasticity import (
 )
 from f2s_hpc.kernels.scratch import W, place_of_largest
 from f2s_hpc.kernels.skin import surface_strain
-from f2s_hpc.materials.pressure import pressure, stored_energy, unloaded
+from f2s_hpc.materials.pressure import pressure, stiffness, stored_energy, unloaded
 
 
 @inlined
@@ -125,8 +125,14 @@ def _close_chunk(mass, fraction, energy, shock, closing, times, bulk, eos, s):
 
 
 @inlined
-def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
-    """Add pressure, stress and viscous work, and what the numerics lost, to the internal energy of a chunk (J/kg)."""
+def _internal_energy(mass, fraction, energy, temperature, stress, cell, dt, bulk, eos, s):
+    """Add pressure, stress and viscous work, and what the numerics lost, to the internal energy of a chunk (J/kg).
+
+    The pressure that does the work is that of the new energy, linear in it. Temperature follows the pressure as along
+    an isentrope, dT / T = Gamma dp / K (dT at constant pressure is heat over c_p, so heating is not counted twice).
+    """
+    # Gamma rho_0: pressure (Pa) of one J/kg
+    thermal = pressure(eos, 1.0, 1.0)
     for i in range(mass.size):
         x, e = mass[i], energy[i]
         s[COMPRESSION * W + i] = 0.0
@@ -148,11 +154,18 @@ def _internal_energy(mass, fraction, energy, stress, cell, dt, bulk, eos, s):
         p_new = pressure(eos, x / jacobian, e) if after >= 1.0 else 0.0
         # while there is void the volume changes at no pressure: it closes, or opens, at the volume of no pressure
         free = x / unloaded(eos, e)
-        swept = (jacobian if after >= 1.0 else free) - (volume if fraction[i] >= 1.0 else free)
-        s[COMPRESSION * W + i] = -0.5 * (p_old + p_new) * swept
+        # (what tears keeps the energy of its tension as heat)
+        whole = (after >= 1.0) | ((fraction[i] >= 1.0) & (p_old < 0.0))
+        swept = (jacobian if whole else free) - (volume if fraction[i] >= 1.0 else free)
         lost = s[RETURNED * W + i] / max(bulk.taylor_quinney, 1e-300)
-        work = dt * power * after * jacobian + s[VISCOUS * W + i] + s[COMPRESSION * W + i] + lost
-        energy[i] = e + work / (x * bulk.density)
+        work = dt * power * after * jacobian + s[VISCOUS * W + i] + lost - 0.5 * (p_old + p_new) * swept
+        slope = thermal if after >= 1.0 else 0.0
+        gain = work / (x * bulk.density + 0.5 * slope * swept)
+        p_new += slope * gain
+        s[COMPRESSION * W + i] = -0.5 * (p_old + p_new) * swept
+        energy[i] = e + gain
+        hard = stiffness(eos, 2.0 * x / (jacobian + volume), e)
+        temperature[i] *= math.exp(thermal / bulk.density * (p_new - p_old) / hard)
 
 
 @inlined
@@ -265,7 +278,7 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
             heat_chunk(filled, t, bulk, heating, times[2] / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
                        node_heat[b:b + m], node_heat[c:c + m], node_heat[d:d + m], s)
             if carried:
-                _internal_energy(filled, f, e, stress, cell, dt, bulk, eos, s)
+                _internal_energy(filled, f, e, t, stress, cell, dt, bulk, eos, s)
             for component in range(6):
                 _write_stress(stress[component][cell:end], filled, TRIAL + component, s)
             _elastic_chunk(filled, f, e, 0.0 if carried else 1.0, bulk, eos, s)

@@ -194,5 +194,5 @@ def _seal(state: State, model: Model) -> None:
     """Close traces of void inside material, in the first layer of ghosts too; needs theirs and two of mass."""
     runs, count = state.runs
     seal.seal_cells(runs, count, state.cell_window((1, 1, 1), (1, 1, 1)), state.part.cell_shape[1:],
-                    model.bulk.spall_pressure, model.bulk.bulk_modulus, state.flat["mass"], state.flat["peeq"],
+                    model.bulk.spall_pressure, model.eos, state.energy, state.flat["mass"], state.flat["peeq"],
                     state.flat["volume_fraction"])

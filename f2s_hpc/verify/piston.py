@@ -118,7 +118,7 @@ def _mean_between(place: np.ndarray, profile: np.ndarray, low: float, high: floa
     return float(profile[inside].mean()) if inside.any() else math.nan
 
 
-def _block(cells: int, model: Model, piston: float) -> Setup:
+def block(cells: int, model: Model, piston: float) -> Setup:
     """Return a block that flies towards the mirror at x = 0, void behind it so that nothing pulls at its far end."""
     setup = make_block((cells + VOID, THIN, THIN), model, sides=ALL_SYMMETRY)
     state = setup.state
@@ -148,7 +148,7 @@ def _run_level(cells: int, model: Model, piston: float, waves: tuple[Wave, Wave]
 
     The largest of the whole run, which is that of the first moments at the wall, and that at half time and at the end.
     """
-    setup = _block(cells, model, piston)
+    setup = block(cells, model, piston)
     nodes = np.arange(cells) * model.dx
     centres = nodes + 0.5 * model.dx
     precursor, plastic = waves
