@@ -24,13 +24,20 @@
 #SBATCH --output=%x-%j.log
 set -euo pipefail
 
-. "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}/jobs/common.sh"
+F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}
+. "$F2S_ROOT/jobs/common.sh"
 SCENE=${SCENE:-section4}
 OUT=${OUT:-runs/$SCENE-chain}
 NOT_FINISHED=75
 
+# (by the time of writing: names do not tell once one was damaged and written anew)
 newest_checkpoint() {
-    [ ! -d "$OUT/checkpoints" ] || find "$OUT/checkpoints" -name '*.json' | sort | tail -n 1
+    [ ! -d "$OUT/checkpoints" ] || find "$OUT/checkpoints" -name '*.json' -printf '%T@ %p\n' | sort -n | tail -n 1
+}
+
+# busy: is another run at work in OUT? (f2s holds a lock on the scene there.)
+busy() {
+    [ -e "$OUT/scene.toml" ] && command -v flock >/dev/null && ! flock -n "$OUT/scene.toml" true
 }
 
 # lost: is OUT the folder of a run that ended before its first checkpoint? (A complete run may have been told to
@@ -52,6 +59,10 @@ set_aside() {
 
 # link ARGUMENTS...: one job's worth of the run. (f2s itself refuses a folder that is none of its own.)
 link() {
+    if busy; then
+        echo "$OUT: another run is at work in it; wait for its end, or choose another folder with OUT"
+        return 2
+    fi
     if lost; then
         set_aside
     elif [ -d "$OUT/checkpoints" ]; then
@@ -75,6 +86,10 @@ while true; do
     if [ $code -ne $NOT_FINISHED ]; then
         [ $code -eq 0 ] || echo "the chain ends: f2s returned $code"
         exit $code
+    fi
+    if [ "$ASKED_TO_END" = yes ]; then
+        echo "the chain ends: it was asked to; start it again to go on"
+        exit $NOT_FINISHED
     fi
     if [ "$(newest_checkpoint)" = "$before" ]; then
         echo "the chain ends: this link gained no checkpoint; give it more time or more ranks"

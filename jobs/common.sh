@@ -1,13 +1,13 @@
 # Shared by the job scripts of this folder; they read it with "."  Not a job itself.
 #
 # Variables that every job script understands:
-#   F2S_ROOT    the repository; the folder where sbatch was called, if not set
+#   F2S_ROOT    the repository; if not set, the folder where sbatch was called, or that of the script
 #   F2S_MODULES modules to load, "openmpi petsc hdf5-parallel"; none, if not set
 #   LAUNCH      how ranks are started: "mpirun -n" (if not set), or for example "srun --mpi=pmix -n"
 #   DRY_RUN=1   print the commands instead of running them
 
-F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}
 LAUNCH=${LAUNCH:-mpirun -n}
+ASKED_TO_END=no # SIGTERM came: somebody, or the batch system, wants this job to be over
 NTASKS=${SLURM_NTASKS:-2}
 DRY_RUN=${DRY_RUN:-0}
 
@@ -61,7 +61,8 @@ run_ranks() {
     child=$!
     passed_on=no
     trap 'echo "time is nearly over: asking the ranks for a checkpoint"; passed_on=yes; kill -USR1 $child' USR1
-    trap 'passed_on=yes; kill -TERM $child' TERM
+    # mpirun ends its ranks at once on SIGTERM, and hands SIGUSR1 on to them
+    trap 'echo "asked to end: asking the ranks for a checkpoint"; ASKED_TO_END=yes; passed_on=yes; kill -USR1 $child' TERM
     while true; do
         code=0
         wait $child || code=$?

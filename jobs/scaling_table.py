@@ -21,7 +21,11 @@ def scaling_rows(folder: pathlib.Path) -> list[dict[str, float]]:
     Raises ``ValueError`` if there is none.
     """
     summaries = [json.loads(path.read_text()) for path in folder.glob("ranks-*/summary.json")]
-    complete = sorted((s for s in summaries if s["status"] == "complete"), key=lambda s: s["ranks"])
+    complete = sorted((s for s in summaries if s.get("status") == "complete"), key=lambda s: s["ranks"])
+    for summary in complete:
+        lacking = [name for name in (*COLUMNS[:5], "peak_memory_bytes") if name not in summary]
+        if lacking:
+            raise ValueError(f"{folder}: a summary lacks {', '.join(lacking)}")
     if not complete:
         raise ValueError(f"{folder}: no ranks-*/summary.json of a complete run")
     base = complete[0]["active_cell_steps_per_s"] / complete[0]["ranks"]

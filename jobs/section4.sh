@@ -18,7 +18,8 @@
 #SBATCH --output=%x-%j.log
 set -euo pipefail
 
-. "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}/jobs/common.sh"
+F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}
+. "$F2S_ROOT/jobs/common.sh"
 SCENE=${SCENE:-section4}
 CELL_SIZE=${CELL_SIZE:-3 um}
 OUT=${OUT:-runs/section4-${SLURM_JOB_ID:-local}}

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from f2s_hpc import mpi
-from f2s_hpc.errors import CheckpointError
+from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.io import checkpoint, layout, manifest, runs
 from f2s_hpc.io.layout import Block
 
@@ -249,6 +249,9 @@ def test_damaged_checkpoint_is_refused_and_the_older_taken(folder, kind):
 
 @pytest.mark.mpi
 def test_no_checkpoint_at_all(folder):
+    with pytest.raises(InputError, match="no such folder"):
+        checkpoint.newest_valid_checkpoint(folder / "nowhere")
+    folder.mkdir(exist_ok=True)
     with pytest.raises(CheckpointError, match="no valid checkpoint to continue from"):
         checkpoint.newest_valid_checkpoint(folder)
     with pytest.raises(CheckpointError, match="no manifest"):

@@ -176,9 +176,9 @@ def test_a_damaged_checkpoint_is_passed_over(stopped_twice, never_stopped, tmp_p
     assert f"resuming from {older}" in said
     assert any(newest.name in line for line in said.splitlines() if "resuming" not in line)
     assert runs.read_summary(copy)["status"] == "complete"
-    # what is left of the damaged file is no result
-    newest.unlink()
-    newest.with_suffix(".json").unlink()
+    # it does not count among those kept
+    assert newest.with_name(newest.name + ".damaged").exists()
+    assert f"note: {newest} is damaged" in said
     assert "identical in every saved bit" in f2s("compare", never_stopped, copy, "--exact", cwd=tmp_path).stdout
 
 
@@ -224,7 +224,7 @@ def test_resume_refuses_what_would_change_the_result(never_stopped):
 
 def test_a_folder_without_a_checkpoint_cannot_be_resumed(tmp_path):
     (tmp_path / "nothing").mkdir()
-    done = f2s("resume", tmp_path / "nothing", cwd=tmp_path, code=3)
+    done = f2s("resume", tmp_path / "nothing", cwd=tmp_path, code=2)
     assert len(done.stderr.splitlines()) == 1
     assert "nothing" in done.stderr
     assert not done.stdout

@@ -192,6 +192,7 @@ def test_index_follows_the_frames_that_exist(frames):
 def test_index_survives_a_move_of_the_run(frames):
     """Fails when the index names its sources by absolute path."""
     write(frames, 0)
+    write(frames, 1)
     vtkhdf.update_index(frames)
     moved = frames.parent.with_name("moved")
     if mpi.is_root():
@@ -199,6 +200,16 @@ def test_index_survives_a_move_of_the_run(frames):
     mpi.barrier()
     with h5py.File(moved / "deposit.vtkhdf", "r") as file:
         assert np.array_equal(file["VTKHDF/CellData/peeq"][0], whole_field("peeq", 0).astype(np.float32))
+
+
+@pytest.mark.mpi
+def test_one_frame_alone_is_read_without_an_axis_for_the_steps(frames):
+    """As VTK 9.3 to 9.6 take a file of one step. Fails when its arrays are (1, nz, ny, nx): none of them is read."""
+    write(frames, 0)
+    vtkhdf.update_index(frames)
+    with h5py.File(frames.parent / "deposit.vtkhdf", "r") as file:
+        assert np.array_equal(file["VTKHDF/CellData/peeq"][...], whole_field("peeq", 0).astype(np.float32))
+        assert file["VTKHDF/Steps"].attrs["NSteps"] == 1
 
 
 @pytest.mark.mpi

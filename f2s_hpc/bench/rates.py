@@ -246,6 +246,8 @@ def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[st
         except InputError:
             if path:
                 raise
+    if path:
+        places.check_file(place, "--rates")
     rates = calibrate(scene, plan, say)
     write_rates(place, rates)
     return rates

@@ -12,6 +12,7 @@ from typing import NoReturn, TextIO
 from f2s_hpc import places
 from f2s_hpc.cli import measuring
 from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.origin import version_text
 
 
 class _Parser(argparse.ArgumentParser):
@@ -37,6 +38,7 @@ def _speaks() -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="f2s", description="Simulate cold-spray deposition: batches of particles hit a substrate and deform.")
+    parser.add_argument("--version", action="version", version=f"f2s {version_text()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
@@ -131,6 +133,8 @@ def _plan(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from f2s_hpc.cli import tasks
     scene = tasks.load(arguments.scene, arguments.overrides)
+    if arguments.out == "":
+        raise InputError("--out: names no folder; is a variable empty? leave it out for runs/<scene>")
     out = arguments.out or str(pathlib.Path("runs") / pathlib.Path(arguments.scene).stem)
     return tasks.run(scene, out)
 
@@ -169,6 +173,8 @@ def _verify(arguments: argparse.Namespace) -> int:
         return 0
     if (arguments.extreme or arguments.levers) and arguments.cases:
         raise InputError("f2s verify: name cases, or ask for --extreme or --levers, not both")
+    if arguments.extreme and arguments.levers:
+        raise InputError("f2s verify: --extreme or --levers, one after the other, not both")
     if arguments.fuzz is not None and (arguments.fuzz < 0 or not arguments.extreme):
         raise InputError("f2s verify: --fuzz N goes with --extreme, N at least 0")
     if arguments.extreme or arguments.levers:

@@ -12,7 +12,7 @@ from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.cycles.output import PICTURE
+from f2s_hpc.cycles.progress import tell
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
 from f2s_hpc.cycles.tracers import bytes_saved
 from f2s_hpc.errors import CheckpointError, InputError
@@ -120,14 +120,18 @@ def resume(folder: str, overrides: list[str]) -> int:
 
 
 def _resume(folder: str, overrides: list[str]) -> int:
+    mpi.run_together(_writable, pathlib.Path(folder))
     path, skipped = checkpoint.newest_valid_checkpoint(pathlib.Path(folder) / layout.CHECKPOINTS)
     for message in skipped:
         _say(message)
     attributes = mpi.run_together(_checkpoint_attributes, path)
     scene, notes = mpi.run_together(_saved_scene, attributes, str(path), overrides)
+    mpi.run_together(_same_run, scene, pathlib.Path(folder), path)
     decomposition_fits(scene)
     simulation = Simulation(scene, folder)
     simulation.resume(path)
+    for name in checkpoint.set_aside_after(path):
+        _say(f"note: {name} is damaged, and is called that now")
     for note in notes:
         _say(f"note: {note}")
     clock = simulation.clock
@@ -164,12 +168,31 @@ def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> tuple[S
     return changed, notes
 
 
+def _writable(folder: pathlib.Path) -> None:
+    """Raise ``InputError`` now if what the run will write cannot be written: not after a cycle has been computed."""
+    for place in (folder, folder / layout.CHECKPOINTS, folder / layout.FRAMES):
+        if places.kind(place) == places.FOLDER and not os.access(place, os.W_OK | os.X_OK):
+            raise InputError(f"{place}: cannot be written (Permission denied); a run goes on in its own folder")
+
+
+def _same_run(scene: Scene, folder: pathlib.Path, path: pathlib.Path) -> None:
+    """Raise ``CheckpointError`` if the checkpoint at ``path`` is of another scene than the one in its folder."""
+    place = folder / layout.SCENE_FILE
+    if places.kind(place) != places.FILE:
+        return
+    own = parse_scene(place.read_text(encoding="utf-8-sig"), str(place))
+    for section in type(scene).model_fields:
+        if section not in ("run", "output", "batches") and getattr(own, section) != getattr(scene, section):
+            raise CheckpointError(f"{path}: is of another scene than {place}: their {section} differ; put back the one "
+                                  "that belongs to this run")
+
+
 def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
     status = simulation.run()
     folder = pathlib.Path(folder)
     found = [(text, folder / name) for text, name in (
-        ("numbers", layout.SUMMARY_JSON), ("cycle table", layout.SUMMARY_CSV), ("ParaView", layout.INDEX),
-        ("picture", PICTURE))]
+        ("numbers", layout.SUMMARY_JSON), ("cycle table", layout.SUMMARY_CSV), ("ParaView", layout.INDEX))]
+    found += [("picture", simulation.picture)] if simulation.picture else []
     _say(f"{status}: " + ", ".join(f"{text} {path}" for text, path in found if path.exists()))
     return 0 if status == COMPLETE else EXIT_REQUEUE
 
@@ -234,8 +257,9 @@ def inspect(folder: str) -> int:
         if lacking:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_JSON}: lacks {', '.join(lacking)}; "
                              f"is {folder} the folder of a run?")
+        rows = runs.read_cycle_table(folder)
         try:
-            table = format_table(runs.read_cycle_table(folder))
+            table = format_table(rows)
         except InputError as error:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_CSV}: {error}") from None
         return (f"{summary['scene']}: {summary['status']}, {_counted(summary['particles'], 'particle')}, "
@@ -247,4 +271,4 @@ def inspect(folder: str) -> int:
 
 def _say(text: str) -> None:
     if mpi.is_root():
-        print(text, flush=True)
+        tell(text)

@@ -96,7 +96,7 @@ def _read(name: str) -> tuple[dict, str, pathlib.Path]:
             raise InputError(f"{name}: no such file" if found == places.NOTHING else f"{name}: not a file")
         raise InputError(f'no scene "{name}": neither a built-in one nor a file; {did_you_mean(name, scene_names())}')
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # (editors of Windows put a mark of their own first)
     except UnicodeDecodeError:
         raise InputError(f"{name}: not a text file in UTF-8") from None
     except OSError as error:
@@ -109,6 +109,8 @@ def _parse_toml(text: str, source: str) -> dict:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f'{source}: not valid TOML: {error}; values with a unit need quotes, as in "3 um"') from None
+    except RecursionError:
+        raise InputError(f"{source}: brackets within brackets, too deep to be read; no scene needs that") from None
 
 
 def _refuse_low_box(scene: Scene, source: str, keys: Sequence[str]) -> None:
@@ -177,7 +179,7 @@ def _override(raw: dict, text: str) -> str:
 def _parse_value(text: str) -> object:
     try:
         parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return text
     return parsed["value"] if len(parsed) == 1 else text
 

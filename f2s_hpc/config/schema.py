@@ -27,6 +27,7 @@ MOST_STEPS, FINE = 8, 5.4
 """Steps that go by between two remaps at most, where the median particle has ``FINE`` cells or more to its diameter:
 there PEEQ, temperatures and heights change by under 0.5 % against a remap after each step (measured: README)."""
 
+MOST_FRAMES = 1e6
 FASTEST_SOUND = 3e8  # m/s: that of light
 MOST_STEPS_OF_RUN = 1e12
 
@@ -126,6 +127,10 @@ def _check_steps(scene: Scene) -> None:
     if not 0.0 < sound <= FASTEST_SOUND:
         raise wrong("material.density", f"and the elastic constants give sound {sound:.3g} m/s, {FASTEST_SOUND:.3g} "
                                         "are possible; are their units right?")
+    interval = scene.output.frame_interval
+    if interval and not scene.cycles.total_time / interval <= MOST_FRAMES:
+        raise wrong("output.frame_interval", f"asks for {scene.cycles.total_time / interval:.3g} frames, "
+                                             f"{MOST_FRAMES:.3g} are possible; is its unit right?")
     steps = scene.cycles.total_time * sound / (scene.numerics.courant * scene.domain.cell_size)
     if not steps <= MOST_STEPS_OF_RUN:
         raise wrong("cycles.duration", f"takes {steps:.3g} time steps at this cell size, {MOST_STEPS_OF_RUN:.3g} are "

@@ -300,3 +300,5 @@ class Run(Section):
     """The run itself."""
 
     wall_time: Time | None = Field(default=None, description="wall time after which the run stops with a checkpoint, s")
+    checkpoint_interval: Time = Field(
+        default=1800.0, description="wall time after which a cycle that still runs gets a checkpoint within, s")

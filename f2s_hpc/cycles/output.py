@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import json
+import math
 import os
 import pathlib
 import platform
@@ -21,11 +22,13 @@ from f2s_hpc.analysis.surface import LANDED
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.cycles.progress import tell
 from f2s_hpc.errors import F2SError, InputError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.io import checkpoint, layout, runs, tracers, vtkhdf
 from f2s_hpc.io.layout import Block
 from f2s_hpc.io.tracers import TracerCloud
+from f2s_hpc.origin import versions
 from f2s_hpc.particles.batch import flight_speed, read_csv, write_csv
 from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.solver.model import Model
@@ -52,7 +55,7 @@ class RunFolder:
 
     def provenance(self) -> dict:
         """Return what every file should say about its origin."""
-        return {"code": "f2s_hpc", "version": f2s_hpc.__version__, "scene_hash": scene_hash(self.scene),
+        return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **versions(), "scene_hash": scene_hash(self.scene),
                 "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
 
     def write_input(self, plan: BatchPlan) -> None:
@@ -142,7 +145,8 @@ class RunFolder:
                 writer.writeheader()
                 writer.writerows(flat)
                 layout.write_text_file(self.path / layout.SUMMARY_CSV, text.getvalue())
-            layout.write_text_file(self.path / layout.SUMMARY_JSON, json.dumps(summary, indent=2) + "\n")
+            text = json.dumps(_without_nan(summary), indent=2, allow_nan=False)
+            layout.write_text_file(self.path / layout.SUMMARY_JSON, text + "\n")
 
         try:
             layout.attempt_on_root(write, f"{self.path}: the cycle table cannot be written")
@@ -152,17 +156,21 @@ class RunFolder:
             _note(error)
 
     def draw(self, summary: dict, plan: BatchPlan) -> pathlib.Path | None:
-        """Draw the picture from the newest frame; return its path, None where the scene asks for none or lacks fields.
+        """Draw the picture from the newest frame; return its path, None where there is none.
 
         What keeps a picture from being made is a printed note: the run itself has its results.
         """
-        if not self.scene.output.picture or not set(PICTURE_FIELDS) <= set(self.scene.output.fields):
+        if not self.scene.output.picture:
+            return None
+        if not set(PICTURE_FIELDS) <= set(self.scene.output.fields):
+            _note(f"no picture; output.fields lacks {' or '.join(PICTURE_FIELDS)}")
             return None
         path = self.path / PICTURE
         try:
             layout.attempt_on_root(lambda: self._draw(summary, plan, path), f"{path}: cannot be drawn")
         except F2SError as error:
             _note(f"no picture; {error}")
+            return None
         return path
 
     def _draw(self, summary: dict, plan: BatchPlan, path: pathlib.Path) -> None:
@@ -181,9 +189,16 @@ class RunFolder:
                      slow_speed=LANDED * flight_speed(plan.batches, self.scene.top_speed))
 
 
+def _without_nan(value: object) -> object:
+    """Return numbers and what holds them with None for what is not finite: JSON has no word for it."""
+    if isinstance(value, dict):
+        return {name: _without_nan(part) for name, part in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _note(text: object) -> None:
     if mpi.is_root():
-        print(f"note: {text}", flush=True)
+        tell(f"note: {text}")
 
 
 def _read_order(folder: pathlib.Path) -> tuple[list[int], list[str]]:

@@ -22,6 +22,20 @@ def silence() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def tell(text: str, end: str = "\n") -> bool:
+    """Print at once; return whether that was possible.
+
+    A run goes on in silence whose reader has gone (a closed pipe or terminal) or whose log has no room left.
+    """
+    try:
+        sys.stdout.write(text + end)
+        sys.stdout.flush()
+    except OSError:
+        silence()
+        return False
+    return True
+
+
 class Progress:
     """Progress lines of rank 0; silent elsewhere.
 
@@ -49,13 +63,8 @@ class Progress:
         self._open_line = False
 
     def _write(self, text: str) -> None:
-        """Write at once; a run whose reader has gone (a closed pipe) goes on in silence."""
-        try:
-            sys.stdout.write(text)
-            sys.stdout.flush()
-        except BrokenPipeError:
+        if not tell(text, ""):
             self.speaks = self.on_terminal = False
-            silence()
 
     def step(self, clock, cycle: int, cycles: int, duration: float,
              in_flight: Callable[[], float] = lambda: 0.0) -> None:

@@ -12,19 +12,21 @@ from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.cycles.finite import refuse_what_is_not_finite
 from f2s_hpc.cycles.insert import InsertReport, paint_substrate
-from f2s_hpc.cycles.output import RunFolder
+from f2s_hpc.cycles.output import BATCHES, RunFolder
 from f2s_hpc.cycles.progress import Progress
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import Tracers, check_same
-from f2s_hpc.errors import F2SError
+from f2s_hpc.errors import CheckpointError, F2SError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
 from f2s_hpc.particles.batch import flight_speed
-from f2s_hpc.particles.plan import BatchPlan
+from f2s_hpc.particles.plan import BatchPlan, plan_digest
 from f2s_hpc.solver.step import Clock, advance
+from f2s_hpc.solver.timestep import SAVE, STOP
 from f2s_hpc.units import count_text
 from f2s_hpc.workload.balance import balance_of_run
 
@@ -63,6 +65,8 @@ class Simulation:
         self.spent = {"wall_s": 0.0, "peak_memory_bytes_per_rank": 0, "peak_memory_bytes": 0}  # before it was resumed
         self.progress = Progress(False, 1.0, 0.0, 1.0)
         self.status = RUNNING
+        self.picture: pathlib.Path | None = None  # made at the end
+        self.saved_at = 0.0  # wall time of this session (s) at the newest checkpoint
         self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the first step
 
     # --- start and resume ---------------------------------------------------------------------------
@@ -84,6 +88,9 @@ class Simulation:
             requests |= self.tracers.requests(checkpoint.saved_shapes(path))
         arrays, saved = checkpoint.read_checkpoint(path, requests)
         check_same(self.scene.output.tracers, saved.get("tracers"))
+        if saved.get("batches_sha256", plan_digest(self.plan)) != plan_digest(self.plan):
+            raise CheckpointError(f"{path}: the batches in {self.folder.path / BATCHES} are not those of this run any "
+                                  "more; put them back as they were")
         for name in state.saved:
             owned, values = state.owned(name), arrays.pop(name)
             # what is left unwritten takes no memory; -0 is something too
@@ -130,6 +137,7 @@ class Simulation:
             "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
+            "batches_sha256": plan_digest(self.plan),
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
             "rows": self.rows, "frame": self.frame, "spent": self._spent(),
@@ -161,8 +169,7 @@ class Simulation:
             raise
         summary = self.summary()
         self.folder.write_tables(self.rows, summary)
-        if self.folder.draw(summary, self.plan) is None and scene.output.picture and mpi.is_root():
-            self.progress.say("note: no picture; output.fields lacks volume_fraction, peeq, temperature or speed")
+        self.picture = self.folder.draw(summary, self.plan)
         return self.status
 
     def _run_cycle(self) -> bool:
@@ -173,7 +180,7 @@ class Simulation:
         clock = self.clock
         follow = None if self.tracers is None else self._follow
         while clock.in_cycle < duration * (1.0 - 1e-12):
-            clock.limits.stop = self.stop.asked()
+            clock.limits.request = self._request()
             landed = self.supply.land()
             if landed is not None and self.tracers is not None:
                 self.tracers.seed(landed, clock.time)
@@ -192,8 +199,17 @@ class Simulation:
                 path = self._checkpoint()
                 self.progress.say(f"stopped: {self.stop.reason()}; checkpoint {path}")
                 return False
+            if clock.save and goes_on:
+                self.progress.say(f"checkpoint {self._checkpoint()}")
         self._finish_cycle(duration)
         return not clock.stop or self.cycle == self.scene.cycles.count
+
+    def _request(self) -> int:
+        """Return what this rank asks for: the end of the run, or on rank 0 a checkpoint now and then in long cycles."""
+        if self.stop.asked():
+            return STOP
+        due = self.stop.elapsed() - self.saved_at > self.scene.run.checkpoint_interval
+        return SAVE if due and self.scene.output.checkpoints and mpi.is_root() else 0
 
     def insert(self) -> InsertReport:
         """Paint or launch the batch of the present cycle and what waited from the one before; return what happened."""
@@ -220,19 +236,26 @@ class Simulation:
         clock.cycle_start += duration
         clock.in_cycle = 0.0
         self.state.release_work()
+        refuse_what_is_not_finite(self.state)
         row = self._row()
         self.rows.append(row)
         self.cycle += 1
         self.batch_is_in = False
         self.active_at_start_of_cycle = clock.active_cell_steps
         output = self.scene.output
-        if output.frames == "cycle":
-            self._frame(ends_cycle=True)
-        if self.tracers is not None:
-            self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
+        failure = None
+        try:
+            if output.frames == "cycle":
+                self._frame(ends_cycle=True)
+            if self.tracers is not None:
+                self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
+        except F2SError as error:  # a picture of the state that can not be written must not cost the state
+            failure = error
         self.folder.write_tables(self.rows, self.summary())
-        if output.checkpoints or clock.stop:
+        if output.checkpoints or clock.stop or failure:
             self._checkpoint()
+        if failure:
+            raise failure
         trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
@@ -249,6 +272,8 @@ class Simulation:
         self.tracers.move(self.state, dt, displaced, self.clock.remaps)
 
     def _checkpoint(self) -> pathlib.Path:
+        refuse_what_is_not_finite(self.state)
+        self.saved_at = self.stop.elapsed()
         more = [] if self.tracers is None else self.tracers.blocks()
         return self.folder.write_checkpoint(self.state, self.cycle, self._attributes(), more)
 

@@ -12,15 +12,17 @@ class StopRequest:
     """Remembers that this rank was asked to stop.
 
     ``wall_time``: budget in seconds from the creation of this object, or None. SIGUSR1 and SIGTERM
-    (what batch systems send before they kill) ask for a stop with a checkpoint, and so does the first Ctrl-C.
+    (what batch systems send before they kill) ask for a stop with a checkpoint, and so do SIGHUP (the terminal has
+    gone; not under nohup) and the first Ctrl-C.
     """
 
     def __init__(self, wall_time: float | None) -> None:
         self.start = time.monotonic()
         self.wall_time = wall_time
         self.signalled: str | None = None
-        for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._remember)
+        for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self._remember)
 
     def _remember(self, number: int, _frame) -> None:
         self.signalled = signal.Signals(number).name

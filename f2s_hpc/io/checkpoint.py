@@ -8,6 +8,7 @@ failure on one of them raises ``CheckpointError`` on all.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
@@ -17,7 +18,7 @@ import h5py
 import numpy as np
 
 from f2s_hpc import mpi, places
-from f2s_hpc.errors import CheckpointError, F2SError
+from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.io import layout
 from f2s_hpc.io.layout import ATTRIBUTES, FIELDS_GROUP, Block, attempt_on_root, attempt_together, box_selection
 from f2s_hpc.io.manifest import (
@@ -196,14 +197,44 @@ def list_checkpoints(folder: str | os.PathLike) -> list[pathlib.Path]:
     return [path for _, path in sorted(found)]
 
 
+def _listed(folder: pathlib.Path) -> list[pathlib.Path]:
+    if places.kind(folder) != places.FOLDER:
+        raise InputError(f"{folder}: no such folder; is {folder.parent} the folder of a run?")
+    return list_checkpoints(folder)
+
+
+def set_aside_after(path: pathlib.Path) -> list[pathlib.Path]:
+    """Give every checkpoint newer than ``path``, which verifies, the ending of damaged ones; return those.
+
+    They would count among those kept. What cannot be read, or renamed, stays. Collective, done by rank 0.
+    """
+    def rename() -> list[pathlib.Path]:
+        moved = []
+        for other in list_checkpoints(path.parent):
+            newer = layout.checkpoint_key(other.name) > layout.checkpoint_key(path.name)
+            if newer and os.access(other, os.R_OK):
+                with contextlib.suppress(OSError):
+                    for file in (manifest_path(other), other):
+                        if file.exists():
+                            file.rename(file.with_name(file.name + layout.DAMAGED))
+                    moved.append(other)
+        return moved
+
+    return mpi.run_together(rename)
+
+
 def newest_valid_checkpoint(folder: str | os.PathLike) -> tuple[pathlib.Path, list[str]]:
     """Return the newest checkpoint that verifies, and a line about each newer one that does not.
 
-    Raises ``CheckpointError`` on all ranks when there is none, saying what was wrong with each.
+    Raises ``CheckpointError`` on all ranks when there is none, saying what was wrong with each; ``InputError`` when
+    there is no such folder, or it is not ours to read.
     """
     folder = pathlib.Path(folder)
     skipped: list[str] = []
-    for path in reversed(attempt_on_root(lambda: list_checkpoints(folder), f"cannot read {folder}", CheckpointError)):
+    for path in reversed(mpi.run_together(_listed, folder)):
+        if not mpi.run_together(os.access, path, os.R_OK):
+            skipped.append(f"skipped {path}: cannot be read (Permission denied)")
+            continue
         try:
             verify_checkpoint(path)
             return path, skipped

@@ -143,7 +143,7 @@ def read_manifest(path: pathlib.Path) -> Manifest:
         found = Manifest(path, record["cycle"], record["step"], record["size"], fields,
                          record["attributes_sha256"], record["scene_hash"], record["code_version"])
         name = record["file"]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"{place}: damaged manifest ({type(error).__name__}: {error})") from None
     if not fields:
         raise CheckpointError(f"{place}: damaged manifest: it tells of no field")

@@ -51,6 +51,8 @@ def check_new_folder(path: str | os.PathLike) -> pathlib.Path:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; name a new folder with --out")
         if path.is_dir() and any(path.iterdir()):
+            if _held(path):
+                raise InputError(f"{path}: another run is at work in it; start a new one in another folder with --out")
             if (path / layout.CHECKPOINTS).is_dir() or (path / layout.SUMMARY_JSON).exists():
                 go_on = (f"; continue it with 'f2s resume {path}', or" if _has_checkpoint(path) else
                          ", without a checkpoint to continue from; remove it, or")
@@ -108,6 +110,16 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
     finally:
         if held is not None:
             os.close(held)
+
+
+def _held(path: pathlib.Path) -> bool:
+    """Tell whether another process holds the run folder ``path`` (see :func:`hold`)."""
+    with contextlib.suppress(OSError), (path / layout.SCENE_FILE).open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def _has_checkpoint(path: pathlib.Path) -> bool:

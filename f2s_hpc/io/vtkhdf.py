@@ -157,9 +157,10 @@ def _write_index(file: h5py.File, frames: str, metas: Sequence[FrameMeta], share
         place = last.locations[name]
         more = int(place == POINT_DATA)
         shape = tuple(n + more for n in last.cells[::-1])
-        virtual = h5py.VirtualLayout((count, *shape), dtype="f4")
+        # of one frame alone readers take the file for one without steps, whose arrays have no axis for them
+        virtual = h5py.VirtualLayout((count, *shape) if count > 1 else shape, dtype="f4")
         for step, meta in enumerate(metas):
-            virtual[step] = h5py.VirtualSource(f"{frames}/{layout.frame_name(meta.number)}",
+            virtual[step if count > 1 else ...] = h5py.VirtualSource(f"{frames}/{layout.frame_name(meta.number)}",
                                                f"{VTK_ROOT}/{place}/{name}", shape=shape, dtype="f4")
         layout.tell_unit(root.create_virtual_dataset(f"{place}/{name}", virtual), UNITS.get(name))
         # Readers have crashed on files without offsets.

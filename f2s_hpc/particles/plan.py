@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -34,6 +35,15 @@ def cycle_order(cycles: int, batches: int, shuffle: bool, generator: np.random.G
     """Return the batch index of each cycle: one permutation (shuffled or not), repeated cyclically."""
     permutation = generator.permutation(batches) if shuffle else np.arange(batches)
     return [int(permutation[cycle % batches]) for cycle in range(cycles)]
+
+
+def plan_digest(plan: BatchPlan) -> str:
+    """Return what tells these batches in this order from all others: SHA-256 of their bits."""
+    digest = hashlib.sha256(repr(plan.order).encode())
+    for batch in plan.batches:
+        for array in batch.arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def _read_files(scene, height: float, messages: list[str]) -> list[Batch]:
@@ -185,7 +195,8 @@ def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[B
     limit = scene.top_speed
     for name, batch in zip(scene.batches.files, batches):  # (their mirror images are as fast)
         if batch.velocity is not None:
-            speeds = np.linalg.norm(batch.velocity, axis=1)
+            with np.errstate(over="ignore"):
+                speeds = np.linalg.norm(batch.velocity, axis=1)
             row = int(np.argmax(speeds))
             if speeds[row] > limit * (1.0 + SPEED_TOLERANCE):
                 raise InputError(f"{name}: row {row + 1}: {speeds[row]:.6g} m/s is above the highest speed of "

@@ -31,6 +31,7 @@ class Clock:
     limits: timestep.Limits = field(default_factory=timestep.Limits)
     fastest_heavy: float = 0.0
     stop: bool = False  # some rank asked for a stop; all ranks know it after the same step
+    save: bool = False  # likewise, for a checkpoint
     active_cell_steps: int = 0
     sleep: sleep.Sleep = field(default_factory=sleep.Sleep)
 
@@ -61,7 +62,8 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         limits.highest = state.highest_plane()
         size = timestep.choose(state, model, limits, clock.dt, cycle_end - clock.in_cycle, since)
         _refuse_collapse(state, model, size, limits)
-        dt, since, clock.stop = size.dt, size.since, bool(size.rates[4])
+        dt, since = size.dt, size.since
+        clock.stop, clock.save = size.rates[4] >= timestep.STOP, size.rates[4] == timestep.SAVE
         state.pool.cover(int(size.rates[5]))
 
         # from the remap, or from the middle of the last step, to the middle of this one

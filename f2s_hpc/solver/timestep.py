@@ -17,6 +17,8 @@ START = 10.0
 gradient has been measured yet, and it may touch a side or other material from the start. The step then grows by its own
 limit."""
 
+SAVE, STOP = 1, 2
+
 LIMITS = ("sound", "motion", "strain", "growth", "end of cycle")
 
 
@@ -30,7 +32,7 @@ class Limits:
     heavy_speed: float = 0.0
     gradient: float = 0.0
     gradient_cell: int = 0
-    stop: bool = False  # this rank asks for a stop (signal, wall time)
+    request: int = 0  # this rank asks for a checkpoint (SAVE) or the end (STOP: signal, wall time)
     highest: int = -1  # plane of cells (global k): none above it is active
 
     def put_in(self, speed: float, dx: float) -> None:
@@ -39,8 +41,8 @@ class Limits:
         self.gradient = max(self.gradient, START * speed / dx)
 
     def over_ranks(self) -> np.ndarray:
-        """Return [wave, light speed, heavy speed, gradient, stop, highest], largest of all ranks; NaN is infinite."""
-        local = np.array([self.wave, self.light_speed, self.heavy_speed, self.gradient, float(self.stop),
+        """Return the largest wave, light, heavy speed, gradient, request, highest of all ranks; NaN as infinity."""
+        local = np.array([self.wave, self.light_speed, self.heavy_speed, self.gradient, float(self.request),
                           float(self.highest)])
         return mpi.maximum(np.where(np.isnan(local), np.inf, local))
 

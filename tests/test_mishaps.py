@@ -1,0 +1,240 @@
+"""What goes wrong around a run: numbers that are none, files of another run, logs that are full, folders in use."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+
+import numpy as np
+import pytest
+from conftest import F2S, ROOT
+from test_damaged import copy, edit, finished  # noqa: F401  (fixtures)
+
+from f2s_hpc import mpi
+from f2s_hpc.cli.main import main
+from f2s_hpc.config import load_scene, parse_scene
+from f2s_hpc.cycles import simulation
+from f2s_hpc.errors import InputError
+from f2s_hpc.io import layout, runs
+from f2s_hpc.io.checkpoint import list_checkpoints, newest_valid_checkpoint
+from f2s_hpc.origin import commit
+
+QUICK = """
+title = "Two spheres"
+domain = { size = ["36 um", "40 um", "72 um"], cell_size = "4 um", substrate_height = "16 um", \
+particle_layer_height = "56 um" }
+material = { name = "copper-ge" }
+particles = { speed = "615 m/s", temperature = "450 degC" }
+batches = { spheres = [["14 um", "15 um", "11 um", "10 um"], ["25 um", "28 um", "37 um", "9 um"]] }
+cycles = { count = 2, duration = "15 ns" }
+output = { picture = false }
+"""
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["temperature", "peeq"])
+def test_what_is_no_number_stops_the_run_before_it_is_saved(shared_path, capsys, monkeypatch, name):
+    """A single cell, in the second cycle: exit code 4 on all ranks, the checkpoint of the first cycle stands.
+
+    Fails without ``refuse_what_is_not_finite``: temperature and PEEQ limit no step, and the run ends as complete.
+    """
+    scene = shared_path / "scene.toml"
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    advance = simulation.advance
+
+    def poisoned(state, model, clock, ledger, cycle_end, *more):
+        advance(state, model, clock, ledger, cycle_end, *more)
+        if clock.cycle_start > 0.0 and clock.in_cycle > 0.99 * cycle_end and mpi.rank() == mpi.size() - 1:
+            state.owned(name)[1, 1, 1] = np.nan
+
+    monkeypatch.setattr(simulation, "advance", poisoned)
+    assert main(["run", str(scene), "--out", str(shared_path / "run")]) == 4
+    assert not mpi.is_root() or f"{name} is not finite at cell (i, j, k) = " in capsys.readouterr().err
+    kept = list_checkpoints(shared_path / "run" / layout.CHECKPOINTS)
+    assert [layout.checkpoint_key(path.name)[0] for path in kept] == [1]
+
+    def refuse(text):
+        raise AssertionError(f"{text} is not JSON")
+
+    text = (shared_path / "run" / layout.SUMMARY_JSON).read_text(encoding="utf-8")
+    assert json.loads(text, parse_constant=refuse)["status"] == "failed"
+
+
+@pytest.mark.mpi
+def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys):  # noqa: F811
+    """After every remap, as asked for. Fails when ``clock.save`` is not looked at, or ends the run."""
+    scene = shared_path / "scene.toml"
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    assert main(["run", str(scene), "--out", str(shared_path / "run"), "--set", "run.checkpoint_interval=1 us"]) == 0
+    said = capsys.readouterr().out
+    assert not mpi.is_root() or said.count("\ncheckpoint ") > 2
+    ends = [list_checkpoints(folder / layout.CHECKPOINTS)[-1] for folder in (finished, shared_path / "run")]
+    assert ends[0].name == ends[1].name
+    (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
+    for name, values in fields.items():
+        assert np.array_equal(values, others[name]), name
+
+
+@pytest.mark.mpi
+def test_a_checkpoint_of_another_scene_is_refused(copy, capsys):  # noqa: F811
+    """Fails when only the checkpoint's own hash is looked at."""
+    if mpi.is_root():
+        text = (copy / layout.SCENE_FILE).read_text(encoding="utf-8")
+        (copy / layout.SCENE_FILE).write_text(text.replace('speed = "615 m/s"', 'speed = "600 m/s"'), encoding="utf-8")
+    mpi.barrier()
+    assert main(["resume", str(copy)]) == 3
+    assert not mpi.is_root() or "their particles differ" in capsys.readouterr().err
+
+
+@pytest.mark.mpi
+def test_batches_that_were_changed_are_refused(copy, capsys):  # noqa: F811
+    """Fails when no digest of the batches is saved."""
+    if mpi.is_root():
+        path = next((copy / "batches").glob("*.csv"))
+        path.write_text(path.read_text(encoding="utf-8").replace("0.014", "0.0141", 1), encoding="utf-8")
+    mpi.barrier()
+    assert main(["resume", str(copy)]) == 3
+    assert not mpi.is_root() or "are not those of this run any more" in capsys.readouterr().err
+
+
+@pytest.mark.mpi
+def test_a_damaged_checkpoint_costs_no_valid_one(copy):  # noqa: F811
+    """After it is resumed both that are kept are whole. Fails without ``set_aside_after``: one of them is damaged."""
+    newest = list_checkpoints(copy / layout.CHECKPOINTS)[-1]
+    mpi.barrier()
+    edit(newest.with_suffix(".json"), size=1)
+    assert main(["resume", str(copy)]) == 0
+    found, skipped = newest_valid_checkpoint(copy / layout.CHECKPOINTS)
+    assert not skipped
+    assert len(list_checkpoints(copy / layout.CHECKPOINTS)) == 2
+    assert found.name == newest.name
+    assert newest.with_name(newest.name + layout.DAMAGED).exists()
+
+
+@pytest.mark.mpi
+def test_a_folder_in_which_a_run_is_at_work_is_not_called_lost(copy):  # noqa: F811
+    """Fails when ``check_new_folder`` does not ask for the lock: it says to remove what another run needs."""
+    with runs.hold(copy), pytest.raises(InputError, match="another run is at work in it"):
+        runs.check_new_folder(copy)
+    with pytest.raises(InputError, match="holds a run already"):
+        runs.check_new_folder(copy)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("place", [layout.CHECKPOINTS, layout.FRAMES])
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(copy, capsys, monkeypatch, place):  # noqa: F811
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: access(path, mode) and not (
+        mode & os.W_OK and pathlib.Path(path).name == place))
+    assert main(["resume", str(copy)]) == 2
+    assert not mpi.is_root() or f"{copy / place}: cannot be written" in capsys.readouterr().err
+
+
+@pytest.mark.mpi
+def test_a_frame_that_cannot_be_written_does_not_cost_the_checkpoint(shared_path, capsys):
+    """Fails when ``_finish_cycle`` leaves at the frame: nothing of the cycle is left."""
+    scene = shared_path / "scene.toml"
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    assert main(["run", str(scene), "--out", str(shared_path / "run"), "--set", "run.wall_time=1 us"]) == 75
+    mpi.barrier()
+    if mpi.is_root():
+        shutil.rmtree(shared_path / "run" / layout.FRAMES)
+        (shared_path / "run" / layout.FRAMES).write_text("in the way")
+    mpi.barrier()
+    assert main(["resume", str(shared_path / "run"), "--set", "run.wall_time=1 h"]) == 1
+    newest, _ = newest_valid_checkpoint(shared_path / "run" / layout.CHECKPOINTS)
+    assert layout.checkpoint_key(newest.name)[0] == 1
+
+
+def test_a_log_without_room_does_not_end_a_run(tmp_path):
+    """Fails when only a closed pipe is no error."""
+    (tmp_path / "scene.toml").write_text(QUICK, encoding="utf-8")
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*F2S, "run", "scene.toml", "--out", "run"], cwd=tmp_path, stdout=full,
+                              env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=300, check=False)
+    assert done.returncode == 0
+    assert runs.read_summary(tmp_path / "run")["status"] == "complete"
+
+
+def test_a_terminal_that_goes_away_leaves_a_checkpoint(tmp_path):
+    """SIGHUP is a request to stop, but not under nohup. Fails when ``StopRequest`` does not listen to it."""
+    from f2s_hpc.cycles.stop import StopRequest
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGHUP, signal.SIGUSR1, signal.SIGTERM,
+                                                              signal.SIGINT)}
+    try:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        request = StopRequest(None)
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert request.asked()
+        assert request.reason() == "signal SIGHUP"
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        request = StopRequest(None)
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert not request.asked()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("text", [f"title = {'[' * 5000}", "\ufeff" + QUICK])
+def test_a_scene_with_a_mark_is_read_and_one_too_deep_refused(tmp_path, text):
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    if text.startswith("title"):
+        with pytest.raises(InputError, match="too deep"):
+            load_scene(str(path), [])
+    else:
+        assert load_scene(str(path), []).title == "Two spheres"
+    with pytest.raises(InputError):
+        parse_scene(QUICK, "test", [f"domain.cell_size={'[' * 3000}"])
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["run", "splat", "--out", ""], "names no folder"),
+    (["check", "splat", "--set", "output.frame_interval=1e-30 s"], "1e+06 are possible"),
+    (["verify", "--extreme", "--levers"], "one after the other"),
+    (["plan", "splat", "--rates", "nowhere/rates.json"], "no folder nowhere")])
+def test_small_mistakes_are_one_line(capsys, monkeypatch, tmp_path, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_tell_commit_and_libraries(finished, capsys):  # noqa: F811
+    """Fails when ``provenance`` leaves ``versions`` out."""
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert commit() is None or commit()[:12] in said
+    told = runs.read_frame_meta(finished / layout.FRAMES / layout.frame_name(0)).provenance
+    assert told["commit"] == commit()
+    assert told["libraries"]["numpy"] == np.__version__
+
+
+def test_a_chain_leaves_a_folder_alone_in_which_a_run_is_at_work(tmp_path):
+    """Fails when ``lost`` looks for checkpoints only: the folder of a run in its first cycle is moved away."""
+    folder = tmp_path / "runs"
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / layout.SCENE_FILE).write_text("")
+    with runs.hold(folder):
+        done = subprocess.run(["bash", "jobs/chain.sh"], cwd=ROOT, capture_output=True, text=True, check=False,
+                              env=os.environ | {"OUT": str(folder), "DRY_RUN": "1"})
+    assert done.returncode == 2
+    assert "another run is at work in it" in done.stdout
+    assert "becomes" in subprocess.run(["bash", "jobs/chain.sh"], cwd=ROOT, capture_output=True, text=True, check=True,
+                                       env=os.environ | {"OUT": str(folder), "DRY_RUN": "1"}).stdout
