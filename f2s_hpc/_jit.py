@@ -37,6 +37,11 @@ def cache_directory() -> str:
     return os.path.join(base, source_hash("kernels", "materials"))
 
 
+def kernels_are_compiled() -> bool:
+    """Tell whether there are compiled kernels of this version at all."""
+    return any(pathlib.Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))
+
+
 os.environ.setdefault("NUMBA_CACHE_DIR", cache_directory())
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 

@@ -18,10 +18,12 @@ from f2s_hpc import mpi
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene, parse_scene
 from f2s_hpc.cycles import simulation
+from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints, newest_valid_checkpoint
 from f2s_hpc.origin import commit
+from f2s_hpc.particles.plan import make_batches, plan_digest
 
 QUICK = """
 title = "Two spheres"
@@ -81,6 +83,53 @@ def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys
     (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
     for name, values in fields.items():
         assert np.array_equal(values, others[name]), name
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_run_that_gets_more_cycles_is_one_that_had_them_from_the_start(finished, shared_path, capsys, stopped):  # noqa: F811
+    """To the last bit. ``stopped``: once more between being told and the end of the new cycle.
+
+    Fails when ``change_cycles`` writes no batch for the new cycle, or ``_scenes_of`` does not look into the folder.
+    """
+    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    assert main(["run", str(scene), "--out", folder, "--set", "cycles.count=1"]) == 0
+    capsys.readouterr()
+    assert main(["resume", folder, "--set", "cycles.count=0"]) == 2
+    limit = ["--set", "run.wall_time=1 us", "--set", "output.checkpoints=false"] if stopped else []
+    assert main(["resume", folder, "--set", "cycles.count=2", *limit]) == (75 if stopped else 0)
+    if stopped:
+        if mpi.is_root():  # as if it had been killed
+            newest = list_checkpoints(pathlib.Path(folder) / layout.CHECKPOINTS)[-1]
+            newest.unlink()
+        mpi.barrier()
+        assert main(["resume", folder]) == 0
+    assert main(["resume", folder, "--set", "cycles.count=1"]) == 2
+    ends = [list_checkpoints(pathlib.Path(place) / layout.CHECKPOINTS)[-1] for place in (finished, folder)]
+    (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
+    for name, values in fields.items():
+        assert np.array_equal(values, others[name]), name
+    assert not mpi.is_root() or "of this run 2 cycles came before" in capsys.readouterr().err
+
+
+def test_more_cycles_follow_the_order_and_the_mirrors_of_the_plan(tmp_path):
+    """Generated batches, mirrored when they come again. Fails when only the order is continued."""
+    scene = QUICK.replace('batches = { spheres = [["14 um", "15 um", "11 um", "10 um"], ["25 um", "28 um", "37 um", '
+                          '"9 um"]] }', 'batches = { count = 2, particles = 2, diameter_min = "8 um", '
+                          'diameter_d10 = "10 um", diameter_d50 = "14 um", diameter_d90 = "20 um", '
+                          'diameter_max = "30 um", mirror_repeats = ["x", "y"] }').replace("15 ns", "1 ns")
+    (tmp_path / "scene.toml").write_text(scene, encoding="utf-8")
+    path, out = str(tmp_path / "scene.toml"), str(tmp_path / "run")
+    assert main(["run", path, "--out", out]) == 0
+    assert main(["resume", out, "--set", "cycles.count=5"]) == 0
+    whole = make_batches(parse_scene(scene, "test", ["cycles.count=5"]))
+    kept = RunFolder(out, parse_scene(scene, "test", ["cycles.count=5"])).read_plan()
+    assert kept.order == whole.order
+    assert plan_digest(kept, 5) == plan_digest(whole, 5)
+    assert len(kept.batches) == 5
 
 
 @pytest.mark.mpi

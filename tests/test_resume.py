@@ -264,12 +264,12 @@ def saved_by_an_older_version() -> dict:
 
 def test_a_checkpoint_from_before_a_setting_is_taken_and_says_so():
     """Fails if the hash is taken of the scene as this version would write it: it knows more settings."""
-    scene, notes = tasks._saved_scene(saved_by_an_older_version(), "old.h5", [])
+    scene, _, notes = tasks._saved_scene(saved_by_an_older_version(), "old.h5", [])
     assert scene == parse_scene(SCENE, "test")
     assert len(notes) == 1
     assert "dust = 1e-12" in notes[0]
     now = {"scene": dump_scene(scene), "scene_hash": scene_hash(scene)}
-    assert tasks._saved_scene(now, "new.h5", ["run.wall_time=1 h"])[1] == []
+    assert tasks._saved_scene(now, "new.h5", ["run.wall_time=1 h"])[2] == []
 
 
 def test_a_checkpoint_whose_scene_was_edited_is_refused():

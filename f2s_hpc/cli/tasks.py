@@ -7,11 +7,14 @@ import os
 import pathlib
 
 from f2s_hpc import mpi, places
+from f2s_hpc._jit import kernels_are_compiled
 from f2s_hpc.analysis.table import TABLE_KEY, format_table
 from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles.lengthen import change_cycles
+from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import tell
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
 from f2s_hpc.cycles.tracers import bytes_saved
@@ -86,6 +89,7 @@ def _balance_line(balance: Balance) -> str:
 
 def run(scene: Scene, out: str) -> int:
     """Run a scene into the new folder ``out``; return the exit code."""
+    _announce_compiling()
     plan = mpi.run_together(make_batches, scene)
     decomposition_fits(scene)
     # a run that cannot be set up leaves no folder that would pass for one that holds a run
@@ -100,6 +104,11 @@ def run(scene: Scene, out: str) -> int:
         return _finish(simulation, folder)
 
 
+def _announce_compiling() -> None:
+    if not kernels_are_compiled():
+        _say("note: the kernels are compiled now, once: until the first step that takes a minute or so")
+
+
 def decomposition_fits(scene: Scene) -> None:
     """Raise ``InputError`` on all ranks, before anything is written, if the box can not be cut for this rank count."""
     process_grid(Box(scene.domain.cells, scene.domain.cell_size), mpi.size())
@@ -112,9 +121,12 @@ def resume(folder: str, overrides: list[str]) -> int:
     ``CheckpointError`` where no checkpoint is valid.
     """
     for text in overrides:
-        if text.partition("=")[0].split(".")[0].strip() not in ("run", "output"):
-            raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections')
+        key = text.partition("=")[0].strip()
+        if key.split(".")[0].strip() not in ("run", "output") and key != "cycles.count":
+            raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections and '
+                             "cycles.count")
     mpi.run_together(places.run_folder, folder)
+    _announce_compiling()
     with runs.hold(folder):
         return _resume(folder, overrides)
 
@@ -125,9 +137,9 @@ def _resume(folder: str, overrides: list[str]) -> int:
     for message in skipped:
         _say(message)
     attributes = mpi.run_together(_checkpoint_attributes, path)
-    scene, notes = mpi.run_together(_saved_scene, attributes, str(path), overrides)
-    mpi.run_together(_same_run, scene, pathlib.Path(folder), path)
+    saved, scene, notes = mpi.run_together(_scenes_of, attributes, path, pathlib.Path(folder), overrides)
     decomposition_fits(scene)
+    notes += change_cycles(RunFolder(folder, scene), saved, attributes)
     simulation = Simulation(scene, folder)
     simulation.resume(path)
     for name in checkpoint.set_aside_after(path):
@@ -147,8 +159,8 @@ def _checkpoint_attributes(path: os.PathLike) -> dict:
     return runs.open_checkpoint_serial(path, names=[])[1]
 
 
-def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> tuple[Scene, list[str]]:
-    """Return the scene that a checkpoint holds, with ``overrides``, and notes on what is new in it."""
+def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> tuple[Scene, Scene, list[str]]:
+    """Return the scene that a checkpoint holds, the same with ``overrides``, and notes on what is new in it."""
     text = attributes.get("scene")
     if not isinstance(text, str):
         raise CheckpointError(f"{source}: holds no scene, so it is not the checkpoint of a run")
@@ -160,12 +172,12 @@ def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> tuple[S
     new = [line for line in dump_scene(scene).splitlines() if line not in saved]
     notes = [f"{source}: saved by another version; its scene as read now differs in {', '.join(new)}"] if new else []
     if not overrides:
-        return scene, notes
+        return scene, scene, notes
     changed = parse_scene(text, source, overrides)
     if changed.output.origin and not scene.output.origin:
         raise InputError("--set output.origin: the particles' share must be followed from the start, and this run "
                          "began without; leave it out")
-    return changed, notes
+    return scene, changed, notes
 
 
 def _writable(folder: pathlib.Path) -> None:
@@ -175,14 +187,27 @@ def _writable(folder: pathlib.Path) -> None:
             raise InputError(f"{place}: cannot be written (Permission denied); a run goes on in its own folder")
 
 
-def _same_run(scene: Scene, folder: pathlib.Path, path: pathlib.Path) -> None:
-    """Raise ``CheckpointError`` if the checkpoint at ``path`` is of another scene than the one in its folder."""
+def _scenes_of(attributes: dict, path: pathlib.Path, folder: pathlib.Path,
+               overrides: list[str]) -> tuple[Scene, Scene, list[str]]:
+    """Return what :func:`_saved_scene` does, where the scene in the folder does not tell of more cycles, with these.
+
+    A run that got more cycles may continue from a checkpoint of before. Raises ``CheckpointError`` if the checkpoint at
+    ``path`` is of another scene than the one in the folder.
+    """
+    saved, changed, notes = _saved_scene(attributes, str(path), overrides)
     place = folder / layout.SCENE_FILE
     if places.kind(place) != places.FILE:
-        return
+        return saved, changed, notes
     own = parse_scene(place.read_text(encoding="utf-8-sig"), str(place))
+    _same_run(saved, own, path, place)
+    if own.cycles.count == saved.cycles.count or any(text.startswith("cycles.count") for text in overrides):
+        return saved, changed, notes
+    return _saved_scene(attributes, str(path), [*overrides, f"cycles.count={own.cycles.count}"])
+
+
+def _same_run(scene: Scene, own: Scene, path: pathlib.Path, place: pathlib.Path) -> None:
     for section in type(scene).model_fields:
-        if section not in ("run", "output", "batches") and getattr(own, section) != getattr(scene, section):
+        if section not in ("run", "output", "batches", "cycles") and getattr(own, section) != getattr(scene, section):
             raise CheckpointError(f"{path}: is of another scene than {place}: their {section} differ; put back the one "
                                   "that belongs to this run")
 

@@ -58,27 +58,33 @@ class RunFolder:
         return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **versions(), "scene_hash": scene_hash(self.scene),
                 "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
 
+    def write_longer_input(self, plan: BatchPlan) -> None:
+        """Write scene and batches anew for a run that gets more cycles; those of before keep their names and bits."""
+        layout.attempt_on_root(lambda: self._write_input(plan), f"{self.path}: its scene and batches cannot be written",
+                               InputError)
+
     def write_input(self, plan: BatchPlan) -> None:
         """Write the resolved scene and the batches into the folder: all that a resumed run needs to know.
 
         Raises ``InputError`` on all ranks, and takes the new folder away again, when they cannot be written.
         """
-        def write() -> None:
-            layout.write_text_file(self.path / layout.SCENE_FILE, dump_scene(self.scene))
-            folder = self.path / BATCHES
-            folder.mkdir()
-            names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
-            for name, batch in zip(names, plan.batches):
-                write_csv(folder / name, batch)
-            layout.write_text_file(folder / ORDER, json.dumps({"order": plan.order, "batches": names}) + "\n")
-
         try:
-            layout.attempt_on_root(write, f"{self.path}: its scene and batches cannot be written", InputError)
+            layout.attempt_on_root(lambda: self._write_input(plan), f"{self.path}: its scene and batches cannot be "
+                                   "written", InputError)
         except InputError:
             if mpi.is_root():
                 self._take_away()
             mpi.barrier()
             raise
+
+    def _write_input(self, plan: BatchPlan) -> None:
+        folder = self.path / BATCHES
+        folder.mkdir(exist_ok=True)
+        names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
+        for name, batch in zip(names, plan.batches):
+            write_csv(folder / name, batch)
+        layout.write_text_file(folder / ORDER, json.dumps({"order": plan.order, "batches": names}) + "\n")
+        layout.write_text_file(self.path / layout.SCENE_FILE, dump_scene(self.scene))
 
     def _take_away(self) -> None:
         """Remove what a run that could not begin has made: else its folder would pass for one that holds a run."""

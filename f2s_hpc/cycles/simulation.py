@@ -88,7 +88,7 @@ class Simulation:
             requests |= self.tracers.requests(checkpoint.saved_shapes(path))
         arrays, saved = checkpoint.read_checkpoint(path, requests)
         check_same(self.scene.output.tracers, saved.get("tracers"))
-        if saved.get("batches_sha256", plan_digest(self.plan)) != plan_digest(self.plan):
+        if "batches" in saved and saved["batches"]["sha256"] != plan_digest(self.plan, saved["batches"]["cycles"]):
             raise CheckpointError(f"{path}: the batches in {self.folder.path / BATCHES} are not those of this run any "
                                   "more; put them back as they were")
         for name in state.saved:
@@ -137,7 +137,8 @@ class Simulation:
             "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
-            "batches_sha256": plan_digest(self.plan),
+            "batches": {"cycles": self.scene.cycles.count,
+                        "sha256": plan_digest(self.plan, self.scene.cycles.count)},
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
             "rows": self.rows, "frame": self.frame, "spent": self._spent(),
