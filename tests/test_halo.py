@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import mmap
+import weakref
 from itertools import product
 
 import numpy as np
 import pytest
-from solver_setup import ALL_SYMMETRY, STANDARD_SIDES
+from solver_setup import ALL_SYMMETRY, STANDARD_SIDES, make_model, make_setup
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
@@ -270,3 +272,13 @@ def test_the_mirror_turns_what_is_odd_behind_a_wall():
            {"velocity_z", "stress_yz", "stress_xz"}]
     for field in FIELDS:
         assert [sign == -1 for sign in field.mirror_sign] == [field.name in names for names in odd], field.name
+
+
+def test_the_memory_of_a_box_is_given_back_with_it():
+    """Cases that run one box after the other need memory for one. Fails when ``_living`` keeps the pools themselves."""
+    setup = make_setup((16, 16, 16), make_model(3e-6), substrate=8)
+    setup.advance(2)
+    pool = weakref.ref(setup.state.pool)
+    del setup
+    gc.collect()
+    assert pool() is None

@@ -33,7 +33,7 @@ STRIDE = 8
 """Planes by which the exchange grows at once, so that its maps are made anew a few times in a run."""
 
 _ALIGNMENT = 8
-_living: list[Pool] = []
+_living: list[dict[tuple, PETSc.SF]] = []  # the star forests of every pool, not its memory
 
 
 class Pool:
@@ -60,7 +60,7 @@ class Pool:
         self._offsets_of = mpi.all_gather(self.offsets)
         self._forests: dict[tuple, PETSc.SF] = {}
         self._transfers: dict[tuple, list[tuple[PETSc.SF, np.ndarray]]] = {}
-        _living.append(self)
+        _living.append(self._forests)
 
     @staticmethod
     def _shape(part, name: str) -> tuple[int, int, int]:
@@ -160,10 +160,14 @@ class Pool:
 
     def destroy(self) -> None:
         """Free the PETSc objects (collective)."""
-        for forest in self._forests.values():
-            forest.destroy()
-        self._forests.clear()
+        _destroy(self._forests)
         self._transfers.clear()
+
+
+def _destroy(forests: dict[tuple, PETSc.SF]) -> None:
+    for forest in forests.values():
+        forest.destroy()
+    forests.clear()
 
 
 def release_all() -> None:
@@ -173,4 +177,4 @@ def release_all() -> None:
     dropped their objects in different orders.
     """
     while _living:
-        _living.pop().destroy()
+        _destroy(_living.pop())
