@@ -12,7 +12,7 @@ import subprocess
 import numpy as np
 import pytest
 from conftest import F2S, ROOT
-from test_damaged import copy, edit, finished  # noqa: F401  (fixtures)
+from test_damaged import SCENE, copy, edit, finished  # noqa: F401  (fixtures)
 
 from f2s_hpc import mpi
 from f2s_hpc.cli.main import main
@@ -25,16 +25,7 @@ from f2s_hpc.io.checkpoint import list_checkpoints, newest_valid_checkpoint
 from f2s_hpc.origin import commit
 from f2s_hpc.particles.plan import make_batches, plan_digest
 
-QUICK = """
-title = "Two spheres"
-domain = { size = ["36 um", "40 um", "72 um"], cell_size = "4 um", substrate_height = "16 um", \
-particle_layer_height = "56 um" }
-material = { name = "copper-ge" }
-particles = { speed = "615 m/s", temperature = "450 degC" }
-batches = { spheres = [["14 um", "15 um", "11 um", "10 um"], ["25 um", "28 um", "37 um", "9 um"]] }
-cycles = { count = 2, duration = "15 ns" }
-output = { picture = false }
-"""
+QUICK = SCENE + "output = { picture = false }\n"
 
 
 @pytest.mark.mpi
