@@ -23,6 +23,7 @@ from f2s_hpc.particles.packing import settle_in_order
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
+from f2s_hpc.units import count_text
 
 OVERFILL = 1.0 + 1e-3
 """A cell may be overfilled by this much: 0.1 % of compression, far below that of any impact."""
@@ -46,10 +47,11 @@ class InsertReport:
         """Return one sentence for the log; empty when every sphere went where it was asked to."""
         parts = []
         if self.moved:
-            parts.append(f"{self.moved} spheres moved by up to {self.largest_move * 1e6:.2f} um to clear material "
+            parts.append(f"{count_text(self.moved, 'sphere')} moved by up to {self.largest_move * 1e6:.2f} um to clear material "
                          "still in the layer or other spheres")
         if self.deferred is not None and self.deferred.count:
-            parts.append(f"{self.deferred.count} spheres found no free place and wait for the next batch")
+            verb = "waits" if self.deferred.count == 1 else "wait"
+            parts.append(f"{count_text(self.deferred.count, 'sphere')} found no free place and {verb} for the next batch")
         return "; ".join(parts)
 
 
