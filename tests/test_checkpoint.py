@@ -273,6 +273,19 @@ def test_newest_is_by_cycle_then_step_then_rewrite(folder):
 
 
 @pytest.mark.mpi
+def test_every_so_many_cycles_a_checkpoint_stays(folder):
+    """The end of a cycle, not what was saved in the middle of the next. Fails when ``_ends_of_cycles`` takes the last.
+    """
+    for cycle in (1, 2, 3, 4, 5):
+        checkpoint.write_checkpoint(folder, cycle, my_blocks(), {"step": 10 * cycle})
+        checkpoint.write_checkpoint(folder, cycle, my_blocks(), {"step": 10 * cycle + 5})
+        mpi.barrier()
+        checkpoint.prune(folder, 1, 2)
+    kept = [layout.checkpoint_key(path.name)[:2] for path in checkpoint.list_checkpoints(folder)]
+    assert kept == [(2, 20), (4, 40), (5, 55)]
+
+
+@pytest.mark.mpi
 def test_prune_keeps_the_newest_and_sweeps_leftovers(folder):
     """Fails when ``remove`` compares with ``<=`` instead of ``<``."""
     for cycle in (1, 2, 3, 4):

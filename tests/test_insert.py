@@ -268,7 +268,7 @@ def test_a_sphere_that_waited_is_moved_out_of_the_batch_it_is_joined_to(setup):
     batch = join([coming, waiting])
     report = setup.put(batch)
     assert (report.spheres, report.moved, report.deferred) == (4, 1, None)
-    assert "1 spheres moved" in report.message()
+    assert "1 sphere moved" in report.message()
     asked, placed = (np.array(which.arrays[:3]) for which in (batch, report.positions))
     assert (placed != asked).any(axis=0).tolist() == [False, False, True, False]
     assert np.linalg.norm(placed[:, 2] - placed[:, 0]) >= 16e-6
@@ -283,7 +283,7 @@ def test_a_sphere_that_finds_no_place_beside_its_batch_waits(setup):
     report = setup.put(batch, 36e-6)
     assert (report.spheres, report.moved, report.deferred.count) == (1, 0, 1)
     assert report.deferred.x[0] == batch.x[1]
-    assert "1 spheres found no free place" in report.message()
+    assert "1 sphere found no free place" in report.message()
     assert setup.whole("mass").max() <= OVERFILL
 
 

@@ -76,6 +76,18 @@ def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys
         assert np.array_equal(values, others[name]), name
 
 
+def test_a_picture_after_each_cycle_if_asked_for(tmp_path, monkeypatch):
+    """Fails when ``_finish_cycle`` draws none, or one more at the end."""
+    drawn, draw = [], RunFolder._draw
+    monkeypatch.setattr(RunFolder, "_draw", lambda self, summary, *more: (drawn.append(summary["cycles"]),
+                                                                          draw(self, summary, *more)))
+    (tmp_path / "scene.toml").write_text(QUICK, encoding="utf-8")
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run"), "--set",
+                 "output.picture_each_cycle=true"]) == 0
+    assert drawn == [1, 2]
+    assert (tmp_path / "run" / "deposit.png").exists()
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("stopped", [False, True])
 def test_a_run_that_gets_more_cycles_is_one_that_had_them_from_the_start(finished, shared_path, capsys, stopped):  # noqa: F811

@@ -99,6 +99,8 @@ def test_areal_roughness_of_an_egg_box():
     assert found.Sa == pytest.approx(0.75 * AMPLITUDE * (2.0 / math.pi) ** 2, rel=6e-3)
     assert found.Sa_unfiltered == pytest.approx(AMPLITUDE * (2.0 / math.pi) ** 2, rel=6e-3)
     assert found.Sz_unfiltered == pytest.approx(2.0 * AMPLITUDE, rel=1e-2)
+    # of a product of two sines: no skewness, kurtosis (3/2)^2
+    assert (found.Ssk_unfiltered, found.Sku_unfiltered) == pytest.approx((0.0, 2.25), abs=1e-2)
 
 
 def test_what_cannot_be_filtered_is_refused():
@@ -114,3 +116,16 @@ def test_what_cannot_be_filtered_is_refused():
         profile_roughness(np.zeros(2), DX, 30e-6)
     with pytest.raises(InputError, match="ny, nx"):
         areal_roughness(np.zeros(20), DX, 30e-6)
+
+
+def test_peaks_on_a_plain_are_skewed_upwards_and_a_plain_has_no_shape():
+    """One cell in a hundred stands up: Ssk = 98 / sqrt(99), Sku = 97 + 1/99 + ...; fails if the powers are swapped."""
+    surface = np.zeros((20, 20))
+    surface[::10, ::10] = 5e-6
+    found = areal_roughness(surface, DX, 20.0 * DX)
+    share = 0.01
+    assert found.Ssk_unfiltered == pytest.approx((1.0 - 2.0 * share) / np.sqrt(share * (1.0 - share)))
+    assert found.Sku_unfiltered == pytest.approx((1.0 - 3.0 * share * (1.0 - share)) / (share * (1.0 - share)))
+    flat = areal_roughness(np.full((20, 20), 3e-6), DX, 20.0 * DX)
+    assert np.isnan(flat.Ssk_unfiltered)
+    assert np.isnan(flat.Sku_unfiltered)

@@ -53,7 +53,9 @@ class Roughness:
 @dataclass(frozen=True)
 class ArealRoughness:
     """Roughness of a surface (m): ``Sa``, ``Sq`` after the Gaussian filter of ``cutoff``; without it, about the mean
-    level, ``Sa_unfiltered``, ``Sq_unfiltered`` and the height between lowest and highest point ``Sz_unfiltered``."""
+    level, ``Sa_unfiltered``, ``Sq_unfiltered``, the height between lowest and highest point ``Sz_unfiltered``, and
+    skewness ``Ssk_unfiltered`` (above zero: peaks on a plain) and kurtosis ``Sku_unfiltered`` (3 for a normal
+    distribution of heights), NaN where the surface is flat."""
 
     cutoff: float
     Sa: float
@@ -61,6 +63,8 @@ class ArealRoughness:
     Sa_unfiltered: float
     Sq_unfiltered: float
     Sz_unfiltered: float
+    Ssk_unfiltered: float
+    Sku_unfiltered: float
     ends: str
 
 
@@ -121,7 +125,7 @@ def profile_roughness(height: np.ndarray, dx: float, cutoff: float, ends: str = 
 
 def areal_roughness(surface: np.ndarray, dx: float, cutoff: float,
                     ends: tuple[str, str] = (MIRROR, MIRROR)) -> ArealRoughness:
-    """Return Sa and Sq (ISO 25178-2) of ``surface`` (m), (ny, nx), after the areal Gaussian filter (ISO 16610-61).
+    """Return Sa, Sq, Sz, Ssk, Sku (ISO 25178-2) of ``surface`` (m), (ny, nx); areal Gaussian filter of ISO 16610-61.
 
     The areal weights are the product of those along x and y. ``ends``: treatment along x and along y.
     Raises ``InputError`` when the surface is not two-dimensional, or as :func:`mean_line` does.
@@ -132,6 +136,9 @@ def areal_roughness(surface: np.ndarray, dx: float, cutoff: float,
     along_x = mean_line(surface, dx, cutoff, ends[0], axis=1)
     residue = surface - mean_line(along_x, dx, cutoff, ends[1], axis=0)
     plain = surface - surface.mean()
+    spread, height = float(np.sqrt((plain**2).mean())), float(np.ptp(plain))
+    uneven = height > 1e-9 * dx
+    skewness, kurtosis = (float((plain**n).mean()) / spread**n if uneven else math.nan for n in (3, 4))
     return ArealRoughness(cutoff, float(np.abs(residue).mean()), float(np.sqrt((residue**2).mean())),
-                          float(np.abs(plain).mean()), float(np.sqrt((plain**2).mean())), float(np.ptp(plain)),
+                          float(np.abs(plain).mean()), spread, height, skewness, kurtosis,
                           ends[0] if ends[0] == ends[1] else f"{ends[0]} along x, {ends[1]} along y")

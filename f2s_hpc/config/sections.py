@@ -272,8 +272,12 @@ class Output(Section):
     frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
     checkpoints: Switch = Field(default=True, description="a checkpoint after each cycle")
     keep_checkpoints: Whole = Field(default=2, ge=1, description="number of checkpoints kept")
+    archive_every: Whole = Field(default=0, ge=0, description="the checkpoint after each so many cycles is kept "
+                                                              "besides, for good; 0: none")
     progress_seconds: Time = Field(default=5.0, description="wall time between progress lines, s")
     picture: Switch = Field(default=True, description="a picture at the end")
+    picture_each_cycle: Switch = Field(default=False, description="the picture is made anew after each cycle, to look "
+                                                                  "at a run that goes on")
     origin: Switch = Field(default=False, description="follow which share of each cell came with the particles")
     tracers: Whole = Field(default=0, ge=0, le=100000, description="material points that follow each particle, for its "
                                                                    "exact shape and flattening; 0: none")

@@ -47,11 +47,12 @@ class InsertReport:
         """Return one sentence for the log; empty when every sphere went where it was asked to."""
         parts = []
         if self.moved:
-            parts.append(f"{count_text(self.moved, 'sphere')} moved by up to {self.largest_move * 1e6:.2f} um to clear material "
-                         "still in the layer or other spheres")
+            parts.append(f"{count_text(self.moved, 'sphere')} moved by up to {self.largest_move * 1e6:.2f} um to clear "
+                         "material still in the layer or other spheres")
         if self.deferred is not None and self.deferred.count:
             verb = "waits" if self.deferred.count == 1 else "wait"
-            parts.append(f"{count_text(self.deferred.count, 'sphere')} found no free place and {verb} for the next batch")
+            parts.append(f"{count_text(self.deferred.count, 'sphere')} found no free place and {verb} for the next "
+                         "batch")
         return "; ".join(parts)
 
 

@@ -134,7 +134,7 @@ class RunFolder:
         blocks = [_block(state, name, state.owned(name), BY_NAME[name].location != CELL) for name in state.saved]
         folder = self.path / layout.CHECKPOINTS
         path = checkpoint.write_checkpoint(folder, cycle, [*blocks, *more], attributes)
-        checkpoint.prune(folder, self.scene.output.keep_checkpoints)
+        checkpoint.prune(folder, self.scene.output.keep_checkpoints, self.scene.output.archive_every)
         return path
 
     def write_tables(self, rows: list[dict], summary: dict) -> None:
@@ -166,7 +166,7 @@ class RunFolder:
 
         What keeps a picture from being made is a printed note: the run itself has its results.
         """
-        if not self.scene.output.picture:
+        if not (self.scene.output.picture or self.scene.output.picture_each_cycle):
             return None
         if not set(PICTURE_FIELDS) <= set(self.scene.output.fields):
             _note(f"no picture; output.fields lacks {' or '.join(PICTURE_FIELDS)}")

@@ -252,11 +252,14 @@ class Simulation:
                 self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
         except F2SError as error:  # a picture of the state that can not be written must not cost the state
             failure = error
-        self.folder.write_tables(self.rows, self.summary())
+        summary = self.summary()
+        self.folder.write_tables(self.rows, summary)
         if output.checkpoints or clock.stop or failure:
             self._checkpoint()
         if failure:
             raise failure
+        if output.picture_each_cycle and self.cycle < self.scene.cycles.count:
+            self.folder.draw(summary, self.plan)
         trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"

@@ -258,11 +258,19 @@ def _complete(path: pathlib.Path) -> bool:
     return True
 
 
-def prune(folder: str | os.PathLike, keep: int) -> list[str]:
+def _ends_of_cycles(paths: Sequence[pathlib.Path], every: int) -> set[pathlib.Path]:
+    """Return the checkpoint at the end of each ``every``-th cycle: the first of those that have it done."""
+    first: dict[int, pathlib.Path] = {}
+    for path in paths:  # (in order)
+        first.setdefault(layout.checkpoint_key(path.name)[0], path)
+    return {path for cycle, path in first.items() if every and cycle and cycle % every == 0}
+
+
+def prune(folder: str | os.PathLike, keep: int, every: int = 0) -> list[str]:
     """Delete all but the ``keep`` newest complete checkpoints; return the names of those deleted.
 
-    Nothing is deleted unless the newest one verifies. Also sweeps away what a crash left behind:
-    unfinished files, and checkpoints older than the kept ones that never got a manifest.
+    Those at the end of each ``every``-th cycle stay too. Nothing is deleted unless the newest one verifies. Also sweeps
+    away what a crash left behind: unfinished files, and checkpoints older than the kept ones that never got a manifest.
     """
     folder = pathlib.Path(folder)
     if keep < 1:
@@ -282,7 +290,9 @@ def prune(folder: str | os.PathLike, keep: int) -> list[str]:
 
     def remove() -> list[str]:
         oldest = layout.checkpoint_key(complete[-keep:][0].name)
-        doomed = [path for path in list_checkpoints(folder) if layout.checkpoint_key(path.name) < oldest]
+        archive = _ends_of_cycles(complete, every)
+        doomed = [path for path in list_checkpoints(folder)
+                  if layout.checkpoint_key(path.name) < oldest and path not in archive]
         for path in doomed:
             # The manifest goes first: without it the checkpoint no longer counts.
             manifest_path(path).unlink(missing_ok=True)

@@ -130,7 +130,10 @@ def _roughness(found: Measurements) -> list[Quantity]:
     return [*rows, _length(group, "Sa", "Sa", areal.Sa), _length(group, "Sq", "Sq", areal.Sq),
             _length(group, "Sa_unfiltered", "Sa without filter", areal.Sa_unfiltered),
             _length(group, "Sq_unfiltered", "Sq without filter", areal.Sq_unfiltered),
-            _length(group, "Sz_unfiltered", "Sz without filter", areal.Sz_unfiltered)]
+            _length(group, "Sz_unfiltered", "Sz without filter", areal.Sz_unfiltered),
+            Quantity(group, "Ssk_unfiltered", "skewness Ssk without filter", areal.Ssk_unfiltered, "", 1.0, ".3f"),
+            Quantity(group, "Sku_unfiltered", "kurtosis Sku without filter (normal: 3)", areal.Sku_unfiltered, "", 1.0,
+                     ".3f")]
 
 
 def _porosity(found: Measurements) -> list[Quantity]:
