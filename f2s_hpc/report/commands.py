@@ -160,7 +160,8 @@ def as_dictionary(found: Measurements) -> dict:
         "cutoff_m": found.settings.cutoff, "track_along": found.settings.along,
         "profile_mirrored": found.settings.symmetric, "layer_m": found.layer,
         "surface_zone_m": found.porosity.zone if found.porosity else None, "paper_height_m": found.paper_height,
-        **{q.key: q.value for q in quantities(found)}, "notes": found.notes}
+        **{q.key: q.value if q.value is not None and math.isfinite(q.value) else None for q in quantities(found)},
+        "notes": found.notes}
     if found.areal is not None:
         result |= {"filter_ends": found.areal.ends, "profile_length_along_m": found.rough_along.length,
                    "profile_length_across_m": found.rough_across.length,
