@@ -35,9 +35,12 @@ newest_checkpoint() {
     [ ! -d "$OUT/checkpoints" ] || find "$OUT/checkpoints" -name '*.json' -printf '%T@ %p\n' | sort -n | tail -n 1
 }
 
-# busy: is another run at work in OUT? (f2s holds a lock on the scene there.)
+# busy: is another run at work in OUT? (f2s holds a lock there, where the file system has locks.)
 busy() {
-    [ -e "$OUT/scene.toml" ] && command -v flock >/dev/null && ! flock -n "$OUT/scene.toml" true
+    [ -e "$OUT/.lock" ] && command -v flock >/dev/null || return 1
+    local code=0
+    flock -n -E 9 "$OUT/.lock" true 2>/dev/null || code=$?
+    [ $code -eq 9 ]
 }
 
 # lost: is OUT the folder of a run that ended before its first checkpoint? (A complete run may have been told to

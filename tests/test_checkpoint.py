@@ -282,7 +282,7 @@ def test_every_so_many_cycles_a_checkpoint_stays(folder):
         mpi.barrier()
         checkpoint.prune(folder, 1, 2)
     kept = [layout.checkpoint_key(path.name)[:2] for path in checkpoint.list_checkpoints(folder)]
-    assert kept == [(2, 20), (4, 40), (5, 55)]
+    assert kept == [(2, 20), (4, 40), (5, 50), (5, 55)]  # (the newest end of a cycle besides)
 
 
 @pytest.mark.mpi

@@ -118,6 +118,104 @@ def test_a_run_that_gets_more_cycles_is_one_that_had_them_from_the_start(finishe
     assert not mpi.is_root() or "of this run 2 cycles came before" in capsys.readouterr().err
 
 
+@pytest.mark.mpi
+def test_the_folder_stays_locked_while_a_run_gets_more_cycles(copy, monkeypatch):  # noqa: F811
+    """Its scene is written anew. Fails when the lock is on that file, whose place another takes."""
+    seen = []
+
+    def looked(self):
+        with pytest.raises(InputError, match="another run is at work"), runs.hold(copy):
+            pass
+        seen.append(self.scene.cycles.count)
+        return simulation.COMPLETE  # (the box is too low for a third)
+
+    monkeypatch.setattr(simulation.Simulation, "run", looked)
+    assert main(["resume", str(copy), "--set", "cycles.count=3"]) == 0
+    assert seen == [3]
+
+
+@pytest.mark.mpi
+def test_fewer_cycles_are_kept_to_and_a_refused_change_changes_nothing(shared_path, capsys):
+    """Stopped in the first of four: told to do two it ends with two, now and later; more tracers are refused at once.
+
+    Fails when the folder's scene is written only for more cycles, or before the run has been set up.
+    """
+    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    assert main(["run", str(scene), "--out", folder, "--set", "cycles.count=4", "--set", "run.wall_time=1 us"]) == 75
+    before = (shared_path / "run" / layout.SCENE_FILE).read_text(encoding="utf-8")
+    assert main(["resume", folder, "--set", "cycles.count=5", "--set", "output.tracers=20"]) != 0
+    assert (shared_path / "run" / layout.SCENE_FILE).read_text(encoding="utf-8") == before
+    for more in (["--set", " cycles.count = 2", "--set", "run.wall_time=1 h"], []):
+        assert main(["resume", folder, *more]) == 0
+        assert runs.read_summary(folder)["cycles"] == 2
+    capsys.readouterr()
+
+
+@pytest.mark.mpi
+def test_a_last_cycle_that_has_gone_on_for_long_ends_before_others_follow(shared_path, capsys, monkeypatch):
+    """It takes 40 ns as the last one and 15 ns otherwise. Fails without the look at the time passed: time runs back."""
+    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    advance = simulation.advance
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        clock.stop = clock.in_cycle > 25e-9
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+    assert main(["run", str(scene), "--out", folder, "--set", "cycles.count=1", "--set",
+                 "cycles.last_duration=40 ns"]) == 75
+    monkeypatch.setattr(simulation, "advance", advance)
+    capsys.readouterr()
+    assert main(["resume", folder, "--set", "cycles.count=2"]) == 2
+    assert not mpi.is_root() or "let it end first" in capsys.readouterr().err
+    assert main(["resume", folder]) == 0
+    assert main(["resume", folder, "--set", "cycles.count=2"]) == 0
+    assert not mpi.is_root() or "cycle 1 was the last and took 40 ns" in capsys.readouterr().out
+
+
+@pytest.mark.mpi
+def test_a_stopped_run_can_be_analysed_whatever_was_saved_within_its_cycle(shared_path, capsys, monkeypatch):
+    """Fails when ``prune`` counts the end of a cycle among the checkpoints within the next: none is left of it."""
+    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
+    if mpi.is_root():
+        scene.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    advance = simulation.advance
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        clock.stop = clock.cycle_start > 0.0 and clock.in_cycle > 10e-9
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+    assert main(["run", str(scene), "--out", folder, "--set", "run.checkpoint_interval=1 us", "--set",
+                 "output.frames=none"]) == 75
+    kept = [layout.checkpoint_key(path.name)[0] for path in list_checkpoints(pathlib.Path(folder) / layout.CHECKPOINTS)]
+    assert kept == [1, 1, 1]
+    assert mpi.size() > 1 or main(["analyse", folder, "--no-handover", "--cutoff", "20 um"]) == 0
+    capsys.readouterr()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("damage", [b"\xff\xfe", b""])
+def test_a_folder_whose_scene_is_damaged_says_what_to_do(copy, capsys, damage):  # noqa: F811
+    """Fails when only wrong scenes are refused in one line, not files that hold no text."""
+    if mpi.is_root():
+        (copy / layout.SCENE_FILE).write_bytes(damage)
+    mpi.barrier()
+    assert main(["resume", str(copy)]) == 2
+    assert not mpi.is_root() or "or remove the file: the checkpoint is enough" in capsys.readouterr().err
+    if mpi.is_root():
+        (copy / layout.SCENE_FILE).unlink()
+    mpi.barrier()
+    assert main(["resume", str(copy)]) == 0
+
+
 def test_more_cycles_follow_the_order_and_the_mirrors_of_the_plan(tmp_path):
     """Generated batches, mirrored when they come again. Fails when only the order is continued."""
     scene = QUICK.replace('batches = { spheres = [["14 um", "15 um", "11 um", "10 um"], ["25 um", "28 um", "37 um", '
@@ -278,6 +376,7 @@ def test_files_tell_commit_and_libraries(finished, capsys):  # noqa: F811
     assert told["libraries"]["numpy"] == np.__version__
 
 
+@pytest.mark.skipif(shutil.which("flock") is None, reason="flock is not installed")
 def test_a_chain_leaves_a_folder_alone_in_which_a_run_is_at_work(tmp_path):
     """Fails when ``lost`` looks for checkpoints only: the folder of a run in its first cycle is moved away."""
     folder = tmp_path / "runs"

@@ -19,7 +19,7 @@ from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene
 from f2s_hpc.cycles import output
 from f2s_hpc.cycles.output import RunFolder
-from f2s_hpc.cycles.stop import StopRequest
+from f2s_hpc.cycles.stop import SIGNALS, StopRequest
 from f2s_hpc.errors import F2SError, InputError
 from f2s_hpc.io import layout, runs
 from f2s_hpc.particles.batch import Batch
@@ -171,7 +171,7 @@ def test_a_signal_to_any_rank_is_the_reason_on_all(name):
 
     Or if one of the two signals of batch systems is not listened to: the run would be killed without a checkpoint.
     """
-    numbers = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)
+    numbers = SIGNALS
     before = [signal.getsignal(number) for number in numbers]
     try:
         stop = StopRequest(None)

@@ -12,7 +12,7 @@ import pytest
 from conftest import F2S, ROOT
 
 from f2s_hpc.config.load import load_scene
-from f2s_hpc.cycles.stop import StopRequest
+from f2s_hpc.cycles.stop import SIGNALS, StopRequest
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import runs
 from f2s_hpc.particles.batch import Batch, check_inside, flight_speed
@@ -136,7 +136,7 @@ def test_a_run_goes_on_when_nobody_reads_what_it_prints(tmp_path):
 
 def test_ctrl_c_asks_for_a_stop_once():
     """Fails if SIGINT is not caught, which would lose the cycle, or is caught twice, which would not end a hung run."""
-    numbers = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT)
+    numbers = SIGNALS
     before = [signal.getsignal(number) for number in numbers]
     try:
         stop = StopRequest(None)

@@ -13,7 +13,7 @@ from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.cycles.lengthen import change_cycles
+from f2s_hpc.cycles.lengthen import plan_of_cycles
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import tell
 from f2s_hpc.cycles.simulation import COMPLETE, Simulation
@@ -121,7 +121,7 @@ def resume(folder: str, overrides: list[str]) -> int:
     ``CheckpointError`` where no checkpoint is valid.
     """
     for text in overrides:
-        key = text.partition("=")[0].strip()
+        key = _key(text)
         if key.split(".")[0].strip() not in ("run", "output") and key != "cycles.count":
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections and '
                              "cycles.count")
@@ -137,11 +137,15 @@ def _resume(folder: str, overrides: list[str]) -> int:
     for message in skipped:
         _say(message)
     attributes = mpi.run_together(_checkpoint_attributes, path)
-    saved, scene, notes = mpi.run_together(_scenes_of, attributes, path, pathlib.Path(folder), overrides)
+    (saved, scene, notes), kept = mpi.run_together(_scenes_of, attributes, path, pathlib.Path(folder), overrides)
     decomposition_fits(scene)
-    notes += change_cycles(RunFolder(folder, scene), saved, attributes)
-    simulation = Simulation(scene, folder)
+    own = RunFolder(folder, scene)
+    plan, more = plan_of_cycles(own, saved, attributes)
+    simulation = Simulation(scene, folder, plan)
     simulation.resume(path)
+    if kept is not None and kept != scene.cycles.count:
+        own.write_other_cycles(plan)
+    notes += more
     for name in checkpoint.set_aside_after(path):
         _say(f"note: {name} is damaged, and is called that now")
     for note in notes:
@@ -188,26 +192,36 @@ def _writable(folder: pathlib.Path) -> None:
 
 
 def _scenes_of(attributes: dict, path: pathlib.Path, folder: pathlib.Path,
-               overrides: list[str]) -> tuple[Scene, Scene, list[str]]:
-    """Return what :func:`_saved_scene` does, where the scene in the folder does not tell of more cycles, with these.
+               overrides: list[str]) -> tuple[tuple[Scene, Scene, list[str]], int | None]:
+    """Return what :func:`_saved_scene` does, and the number of cycles that the scene in the folder tells of.
 
-    A run that got more cycles may continue from a checkpoint of before. Raises ``CheckpointError`` if the checkpoint at
-    ``path`` is of another scene than the one in the folder.
+    The run has that many, if ``overrides`` do not say otherwise: it may continue from a checkpoint of before that was
+    changed. Raises ``CheckpointError`` if the checkpoint at ``path`` is of another scene than the one in the folder.
     """
-    saved, changed, notes = _saved_scene(attributes, str(path), overrides)
+    found = _saved_scene(attributes, str(path), overrides)
     place = folder / layout.SCENE_FILE
     if places.kind(place) != places.FILE:
-        return saved, changed, notes
-    own = parse_scene(place.read_text(encoding="utf-8-sig"), str(place))
-    _same_run(saved, own, path, place)
-    if own.cycles.count == saved.cycles.count or any(text.startswith("cycles.count") for text in overrides):
-        return saved, changed, notes
-    return _saved_scene(attributes, str(path), [*overrides, f"cycles.count={own.cycles.count}"])
+        return found, None
+    try:
+        own = parse_scene(place.read_text(encoding="utf-8-sig"), str(place))
+    except (InputError, UnicodeDecodeError) as error:
+        raise InputError(f"{place}: is not the scene of this run any more ({error}); put that back, or remove the "
+                         "file: the checkpoint is enough to go on") from None
+    _same_run(found[0], own, path, place)
+    if own.cycles.count != found[0].cycles.count and not any(_key(text) == "cycles.count" for text in overrides):
+        found = _saved_scene(attributes, str(path), [*overrides, f"cycles.count={own.cycles.count}"])
+    return found, own.cycles.count
+
+
+def _key(override: str) -> str:
+    return override.partition("=")[0].strip()
 
 
 def _same_run(scene: Scene, own: Scene, path: pathlib.Path, place: pathlib.Path) -> None:
     for section in type(scene).model_fields:
-        if section not in ("run", "output", "batches", "cycles") and getattr(own, section) != getattr(scene, section):
+        if section in ("title", "run", "output", "batches", "cycles"):
+            continue
+        if getattr(own, section) != getattr(scene, section):
             raise CheckpointError(f"{path}: is of another scene than {place}: their {section} differ; put back the one "
                                   "that belongs to this run")
 

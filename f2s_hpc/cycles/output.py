@@ -58,8 +58,11 @@ class RunFolder:
         return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **versions(), "scene_hash": scene_hash(self.scene),
                 "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
 
-    def write_longer_input(self, plan: BatchPlan) -> None:
-        """Write scene and batches anew for a run that gets more cycles; those of before keep their names and bits."""
+    def write_other_cycles(self, plan: BatchPlan | None) -> None:
+        """Write the scene anew for a run whose number of cycles changes, and its batches where it has a new ``plan``.
+
+        Batches of before keep their names and bits.
+        """
         layout.attempt_on_root(lambda: self._write_input(plan), f"{self.path}: its scene and batches cannot be written",
                                InputError)
 
@@ -77,20 +80,22 @@ class RunFolder:
             mpi.barrier()
             raise
 
-    def _write_input(self, plan: BatchPlan) -> None:
-        folder = self.path / BATCHES
-        folder.mkdir(exist_ok=True)
-        names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
-        for name, batch in zip(names, plan.batches):
-            write_csv(folder / name, batch)
-        layout.write_text_file(folder / ORDER, json.dumps({"order": plan.order, "batches": names}) + "\n")
+    def _write_input(self, plan: BatchPlan | None) -> None:
+        if plan is not None:
+            folder = self.path / BATCHES
+            folder.mkdir(exist_ok=True)
+            names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
+            for name, batch in zip(names, plan.batches):
+                write_csv(folder / name, batch)
+            layout.write_text_file(folder / ORDER, json.dumps({"order": plan.order, "batches": names}) + "\n")
         layout.write_text_file(self.path / layout.SCENE_FILE, dump_scene(self.scene))
 
     def _take_away(self) -> None:
         """Remove what a run that could not begin has made: else its folder would pass for one that holds a run."""
         shutil.rmtree(self.path / BATCHES, ignore_errors=True)
-        with contextlib.suppress(OSError):
-            (self.path / layout.SCENE_FILE).unlink(missing_ok=True)
+        for name in (layout.SCENE_FILE, layout.LOCK):
+            with contextlib.suppress(OSError):
+                (self.path / name).unlink(missing_ok=True)
         for folder in (self.path / layout.CHECKPOINTS, self.path / layout.FRAMES, self.path):
             with contextlib.suppress(OSError):
                 folder.rmdir()

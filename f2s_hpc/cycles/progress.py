@@ -27,6 +27,8 @@ def tell(text: str, end: str = "\n") -> bool:
 
     A run goes on in silence whose reader has gone (a closed pipe or terminal) or whose log has no room left.
     """
+    if sys.stdout is None:  # (closed before the start)
+        return False
     try:
         sys.stdout.write(text + end)
         sys.stdout.flush()

@@ -7,6 +7,8 @@ import time
 
 from f2s_hpc import mpi
 
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
 
 class StopRequest:
     """Remembers that this rank was asked to stop.
@@ -20,7 +22,7 @@ class StopRequest:
         self.start = time.monotonic()
         self.wall_time = wall_time
         self.signalled: str | None = None
-        for number in (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._remember)
 

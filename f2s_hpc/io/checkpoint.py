@@ -258,19 +258,20 @@ def _complete(path: pathlib.Path) -> bool:
     return True
 
 
-def _ends_of_cycles(paths: Sequence[pathlib.Path], every: int) -> set[pathlib.Path]:
-    """Return the checkpoint at the end of each ``every``-th cycle: the first of those that have it done."""
+def _ends_of_cycles(paths: Sequence[pathlib.Path]) -> list[pathlib.Path]:
+    """Return the checkpoints at the ends of cycles, in order: the first of those that have as many cycles done."""
     first: dict[int, pathlib.Path] = {}
     for path in paths:  # (in order)
         first.setdefault(layout.checkpoint_key(path.name)[0], path)
-    return {path for cycle, path in first.items() if every and cycle and cycle % every == 0}
+    return [path for cycle, path in first.items() if cycle]
 
 
 def prune(folder: str | os.PathLike, keep: int, every: int = 0) -> list[str]:
     """Delete all but the ``keep`` newest complete checkpoints; return the names of those deleted.
 
-    Those at the end of each ``every``-th cycle stay too. Nothing is deleted unless the newest one verifies. Also sweeps
-    away what a crash left behind: unfinished files, and checkpoints older than the kept ones that never got a manifest.
+    The newest at the end of a cycle stays too, which analyses start from, and those of each ``every``-th cycle. Nothing
+    is deleted unless the newest one verifies. Also sweeps away what a crash left behind: unfinished files, and
+    checkpoints older than the kept ones that never got a manifest.
     """
     folder = pathlib.Path(folder)
     if keep < 1:
@@ -290,7 +291,8 @@ def prune(folder: str | os.PathLike, keep: int, every: int = 0) -> list[str]:
 
     def remove() -> list[str]:
         oldest = layout.checkpoint_key(complete[-keep:][0].name)
-        archive = _ends_of_cycles(complete, every)
+        ends = _ends_of_cycles(complete)
+        archive = {path for path in ends if every and layout.checkpoint_key(path.name)[0] % every == 0} | set(ends[-1:])
         doomed = [path for path in list_checkpoints(folder)
                   if layout.checkpoint_key(path.name) < oldest and path not in archive]
         for path in doomed:

@@ -3,6 +3,7 @@
 A run folder holds::
 
     scene.toml                                             the resolved scene
+    .lock                                                  locked while a run is at work in the folder
     checkpoints/checkpoint_cycle_0003_step_00001234.h5     every saved field, float64
     checkpoints/checkpoint_cycle_0003_step_00001234.json   its manifest, written last
     frames/frame_000003.vtkhdf                             chosen fields, float32, one file per frame
@@ -31,7 +32,7 @@ from f2s_hpc.errors import F2SError
 
 FORMAT_VERSION = 2
 CHECKPOINTS, FRAMES, TRACERS = "checkpoints", "frames", "tracers"
-SCENE_FILE = "scene.toml"
+SCENE_FILE, LOCK = "scene.toml", ".lock"
 SUMMARY_JSON, SUMMARY_CSV = "summary.json", "summary.csv"
 INDEX, SIDECAR = "deposit.vtkhdf", "deposit.xmf"
 PARTIAL, DELETED, DAMAGED = ".partial", ".deleted", ".damaged"

@@ -84,16 +84,17 @@ def prepare_run_folder(path: str | os.PathLike) -> pathlib.Path:
 
 @contextlib.contextmanager
 def hold(path: str | os.PathLike) -> Iterator[None]:
-    """Keep other runs out of the folder ``path`` meanwhile; collective. The lock is on the scene that it holds.
+    """Keep other runs out of the folder ``path`` meanwhile; collective.
 
     Raises ``InputError`` on all ranks when another process holds it. A file system without locks has none.
     """
-    place = pathlib.Path(path) / layout.SCENE_FILE
+    place = pathlib.Path(path) / layout.LOCK
 
     def lock() -> int | None:
         try:
-            file = os.open(place, os.O_RDWR)
-        except OSError:  # (not ours to write, or gone: a checkpoint is enough to go on)
+            # (a file of its own, that nothing replaces)
+            file = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError:  # (not ours to write)
             return None
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -114,7 +115,7 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
 
 def _held(path: pathlib.Path) -> bool:
     """Tell whether another process holds the run folder ``path`` (see :func:`hold`)."""
-    with contextlib.suppress(OSError), (path / layout.SCENE_FILE).open("rb") as file:
+    with contextlib.suppress(OSError), (path / layout.LOCK).open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -115,7 +115,7 @@ def _generate(scene, height: float, seeds: list[np.random.SeedSequence], message
         generator = np.random.Generator(np.random.PCG64(seed))
         diameters = sizes.sample_by_number(number, generator)
         _refuse_crowd(wanted, diameters, box, index)
-        lateral = margin + jet.sample(number, -margin, size_x + margin, generator) if jet else None
+        lateral = margin + jet.sample(number, 0.0 - margin, size_x + margin, generator) if jet else None
         packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
         if packed.placed == 0:
             raise InputError(f"batches: no particle of batch {index} fits the layer; {packed.message()}")

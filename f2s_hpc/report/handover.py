@@ -26,6 +26,7 @@ import numpy as np
 from f2s_hpc import fields
 from f2s_hpc.config import Scene, parse_scene
 from f2s_hpc.cycles.simulation import Simulation
+from f2s_hpc.cycles.stop import SIGNALS
 from f2s_hpc.io import runs
 from f2s_hpc.kernels import derived, paint
 from f2s_hpc.particles.batch import Batch, join
@@ -98,7 +99,7 @@ def _put_in(simulation: Simulation) -> Batch:
 @contextlib.contextmanager
 def _signals_as_before() -> Iterator[None]:
     """Undo that a simulation takes the stop signals for itself: nothing here listens to it."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in SIGNALS}
     try:
         yield
     finally:

@@ -276,8 +276,7 @@ def tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
 
     What either run has is shown, in order. Titles and names hold numbers of a run (a cutoff, a length): where the runs
     differ both are named. With two runs a column tells by how much the second exceeds the first: in percent, shares in
-    points. Temperatures
-    in K. The paper is compared with the first run for which it has values.
+    points, temperatures in K. The paper is compared with the first run for which it has values.
     """
     labels = [label for label, _ in runs]
     by_topic: list[dict[str, dict[str, Quantity]]] = []
