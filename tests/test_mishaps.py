@@ -28,17 +28,34 @@ from f2s_hpc.particles.plan import make_batches, plan_digest
 QUICK = SCENE + "output = { picture = false }\n"
 
 
+@pytest.fixture
+def scene(shared_path) -> str:
+    """Return the file of a quick scene, shared by all ranks."""
+    path = shared_path / "scene.toml"
+    if mpi.is_root():
+        path.write_text(QUICK, encoding="utf-8")
+    mpi.barrier()
+    return str(path)
+
+
+def stop_when(late, monkeypatch) -> None:
+    """Let a run stop, as for a signal, when ``late`` says so of its clock."""
+    advance = simulation.advance
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        clock.stop = late(clock)
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("name", ["temperature", "peeq"])
-def test_what_is_no_number_stops_the_run_before_it_is_saved(shared_path, capsys, monkeypatch, name):
+def test_what_is_no_number_stops_the_run_before_it_is_saved(shared_path, capsys, monkeypatch, name, scene):
     """A single cell, in the second cycle: exit code 4 on all ranks, the checkpoint of the first cycle stands.
 
     Fails without ``refuse_what_is_not_finite``: temperature and PEEQ limit no step, and the run ends as complete.
     """
-    scene = shared_path / "scene.toml"
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
     advance = simulation.advance
 
     def poisoned(state, model, clock, ledger, cycle_end, *more):
@@ -47,7 +64,7 @@ def test_what_is_no_number_stops_the_run_before_it_is_saved(shared_path, capsys,
             state.owned(name)[1, 1, 1] = np.nan
 
     monkeypatch.setattr(simulation, "advance", poisoned)
-    assert main(["run", str(scene), "--out", str(shared_path / "run")]) == 4
+    assert main(["run", scene, "--out", str(shared_path / "run")]) == 4
     assert not mpi.is_root() or f"{name} is not finite at cell (i, j, k) = " in capsys.readouterr().err
     kept = list_checkpoints(shared_path / "run" / layout.CHECKPOINTS)
     assert [layout.checkpoint_key(path.name)[0] for path in kept] == [1]
@@ -60,13 +77,9 @@ def test_what_is_no_number_stops_the_run_before_it_is_saved(shared_path, capsys,
 
 
 @pytest.mark.mpi
-def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys):  # noqa: F811
+def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys, scene):  # noqa: F811
     """After every remap, as asked for. Fails when ``clock.save`` is not looked at, or ends the run."""
-    scene = shared_path / "scene.toml"
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
-    assert main(["run", str(scene), "--out", str(shared_path / "run"), "--set", "run.checkpoint_interval=1 us"]) == 0
+    assert main(["run", scene, "--out", str(shared_path / "run"), "--set", "run.checkpoint_interval=1 us"]) == 0
     said = capsys.readouterr().out
     assert not mpi.is_root() or said.count("\ncheckpoint ") > 2
     ends = [list_checkpoints(folder / layout.CHECKPOINTS)[-1] for folder in (finished, shared_path / "run")]
@@ -90,16 +103,13 @@ def test_a_picture_after_each_cycle_if_asked_for(tmp_path, monkeypatch):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_run_that_gets_more_cycles_is_one_that_had_them_from_the_start(finished, shared_path, capsys, stopped):  # noqa: F811
+def test_a_run_that_gets_more_cycles_is_one_that_had_them_from_the_start(finished, shared_path, capsys, stopped, scene):  # noqa: F811
     """To the last bit. ``stopped``: once more between being told and the end of the new cycle.
 
-    Fails when ``change_cycles`` writes no batch for the new cycle, or ``_scenes_of`` does not look into the folder.
+    Fails when ``plan_of_cycles`` has no batch for the new cycle, or ``_scenes_of`` does not look into the folder.
     """
-    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
-    assert main(["run", str(scene), "--out", folder, "--set", "cycles.count=1"]) == 0
+    folder = str(shared_path / "run")
+    assert main(["run", scene, "--out", folder, "--set", "cycles.count=1"]) == 0
     capsys.readouterr()
     assert main(["resume", folder, "--set", "cycles.count=0"]) == 2
     limit = ["--set", "run.wall_time=1 us", "--set", "output.checkpoints=false"] if stopped else []
@@ -135,16 +145,13 @@ def test_the_folder_stays_locked_while_a_run_gets_more_cycles(copy, monkeypatch)
 
 
 @pytest.mark.mpi
-def test_fewer_cycles_are_kept_to_and_a_refused_change_changes_nothing(shared_path, capsys):
+def test_fewer_cycles_are_kept_to_and_a_refused_change_changes_nothing(shared_path, capsys, scene):
     """Stopped in the first of four: told to do two it ends with two, now and later; more tracers are refused at once.
 
     Fails when the folder's scene is written only for more cycles, or before the run has been set up.
     """
-    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
-    assert main(["run", str(scene), "--out", folder, "--set", "cycles.count=4", "--set", "run.wall_time=1 us"]) == 75
+    folder = str(shared_path / "run")
+    assert main(["run", scene, "--out", folder, "--set", "cycles.count=4", "--set", "run.wall_time=1 us"]) == 75
     before = (shared_path / "run" / layout.SCENE_FILE).read_text(encoding="utf-8")
     assert main(["resume", folder, "--set", "cycles.count=5", "--set", "output.tracers=20"]) != 0
     assert (shared_path / "run" / layout.SCENE_FILE).read_text(encoding="utf-8") == before
@@ -155,20 +162,12 @@ def test_fewer_cycles_are_kept_to_and_a_refused_change_changes_nothing(shared_pa
 
 
 @pytest.mark.mpi
-def test_a_last_cycle_that_has_gone_on_for_long_ends_before_others_follow(shared_path, capsys, monkeypatch):
+def test_a_last_cycle_that_has_gone_on_for_long_ends_before_others_follow(shared_path, capsys, monkeypatch, scene):
     """It takes 40 ns as the last one and 15 ns otherwise. Fails without the look at the time passed: time runs back."""
-    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
+    folder = str(shared_path / "run")
     advance = simulation.advance
-
-    def stopped(state, model, clock, *more):
-        advance(state, model, clock, *more)
-        clock.stop = clock.in_cycle > 25e-9
-
-    monkeypatch.setattr(simulation, "advance", stopped)
-    assert main(["run", str(scene), "--out", folder, "--set", "cycles.count=1", "--set",
+    stop_when(lambda clock: clock.in_cycle > 25e-9, monkeypatch)
+    assert main(["run", scene, "--out", folder, "--set", "cycles.count=1", "--set",
                  "cycles.last_duration=40 ns"]) == 75
     monkeypatch.setattr(simulation, "advance", advance)
     capsys.readouterr()
@@ -180,20 +179,11 @@ def test_a_last_cycle_that_has_gone_on_for_long_ends_before_others_follow(shared
 
 
 @pytest.mark.mpi
-def test_a_stopped_run_can_be_analysed_whatever_was_saved_within_its_cycle(shared_path, capsys, monkeypatch):
+def test_a_stopped_run_can_be_analysed_whatever_was_saved_within_its_cycle(shared_path, capsys, monkeypatch, scene):
     """Fails when ``prune`` counts the end of a cycle among the checkpoints within the next: none is left of it."""
-    scene, folder = shared_path / "scene.toml", str(shared_path / "run")
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
-    advance = simulation.advance
-
-    def stopped(state, model, clock, *more):
-        advance(state, model, clock, *more)
-        clock.stop = clock.cycle_start > 0.0 and clock.in_cycle > 10e-9
-
-    monkeypatch.setattr(simulation, "advance", stopped)
-    assert main(["run", str(scene), "--out", folder, "--set", "run.checkpoint_interval=1 us", "--set",
+    folder = str(shared_path / "run")
+    stop_when(lambda clock: clock.cycle_start > 0.0 and clock.in_cycle > 10e-9, monkeypatch)
+    assert main(["run", scene, "--out", folder, "--set", "run.checkpoint_interval=1 us", "--set",
                  "output.frames=none"]) == 75
     kept = [layout.checkpoint_key(path.name)[0] for path in list_checkpoints(pathlib.Path(folder) / layout.CHECKPOINTS)]
     assert kept == [1, 1, 1]
@@ -289,13 +279,9 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(cop
 
 
 @pytest.mark.mpi
-def test_a_frame_that_cannot_be_written_does_not_cost_the_checkpoint(shared_path, capsys):
+def test_a_frame_that_cannot_be_written_does_not_cost_the_checkpoint(shared_path, capsys, scene):
     """Fails when ``_finish_cycle`` leaves at the frame: nothing of the cycle is left."""
-    scene = shared_path / "scene.toml"
-    if mpi.is_root():
-        scene.write_text(QUICK, encoding="utf-8")
-    mpi.barrier()
-    assert main(["run", str(scene), "--out", str(shared_path / "run"), "--set", "run.wall_time=1 us"]) == 75
+    assert main(["run", scene, "--out", str(shared_path / "run"), "--set", "run.wall_time=1 us"]) == 75
     mpi.barrier()
     if mpi.is_root():
         shutil.rmtree(shared_path / "run" / layout.FRAMES)

@@ -12,7 +12,6 @@ from typing import NoReturn, TextIO
 from f2s_hpc import places
 from f2s_hpc.cli import measuring
 from f2s_hpc.errors import F2SError, InputError
-from f2s_hpc.origin import version_text
 
 
 class _Parser(argparse.ArgumentParser):
@@ -24,6 +23,15 @@ class _Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: TextIO | None = None) -> None:
         if _speaks():
             super()._print_message(message, file)
+
+
+class _Version(argparse.Action):
+    """Prints the version, which only who asks for it needs to look up."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from f2s_hpc.origin import version_text
+        parser._print_message(f"f2s {version_text()}\n", sys.stdout)
+        parser.exit()
 
 
 def _speaks() -> bool:
@@ -38,7 +46,7 @@ def _speaks() -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="f2s", description="Simulate cold-spray deposition: batches of particles hit a substrate and deform.")
-    parser.add_argument("--version", action="version", version=f"f2s {version_text()}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show version and commit, and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, text: str) -> argparse.ArgumentParser:

@@ -105,7 +105,7 @@ def run(scene: Scene, out: str) -> int:
 
 
 def _announce_compiling() -> None:
-    if not kernels_are_compiled():
+    if mpi.is_root() and not kernels_are_compiled():
         _say("note: the kernels are compiled now, once: until the first step that takes a minute or so")
 
 

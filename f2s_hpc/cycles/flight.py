@@ -203,8 +203,8 @@ class Flight:
             v = self.velocity[:, axis]
             found |= (v < 0.0) & (place - now.r - reach < 0.0)
             if axis < 2:
-                found |= (v > 0.0) & ((place + now.r + reach > self.extents[axis]) | (place - now.r < 0.0))
-                found |= (v < 0.0) & (place + now.r > self.extents[axis])
+                found |= (v > 0.0) & (place + now.r + reach > self.extents[axis])
+                found |= (v != 0.0) & ((place - now.r < 0.0) | (place + now.r > self.extents[axis]))
         return found
 
     def attributes(self) -> dict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import pathlib
 
@@ -137,13 +138,18 @@ class Simulation:
             "sleep": {"floor": self.state.floor, "since": clock.sleep.since},
             "limits": {"light_speed": float(rates[1]), "heavy_speed": float(rates[2]), "gradient": float(rates[3])},
             "ledger": {name: str(value) for name, value in self.ledger.totals().items()},
-            "batches": {"cycles": self.scene.cycles.count,
-                        "sha256": plan_digest(self.plan, self.scene.cycles.count)},
+            "batches": self._batches,
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
             "rows": self.rows, "frame": self.frame, "spent": self._spent(),
             "substrate_quanta": str(self.substrate_quanta),
         }
+
+    @functools.cached_property
+    def _batches(self) -> dict:
+        """What a checkpoint tells of the batches, which stay the same in all of them."""
+        cycles = self.scene.cycles.count
+        return {"cycles": cycles, "sha256": plan_digest(self.plan, cycles)}
 
     # --- the run ------------------------------------------------------------------------------------
 
@@ -196,12 +202,12 @@ class Simulation:
                 self.intervals = self._intervals()
                 if goes_on or self.scene.output.frames != "cycle":
                     self._frame(ends_cycle=False)
-            if clock.stop and goes_on:
+            if (clock.stop or clock.save) and goes_on:
+                refuse_what_is_not_finite(self.state)
                 path = self._checkpoint()
-                self.progress.say(f"stopped: {self.stop.reason()}; checkpoint {path}")
-                return False
-            if clock.save and goes_on:
-                self.progress.say(f"checkpoint {self._checkpoint()}")
+                self.progress.say((f"stopped: {self.stop.reason()}; " if clock.stop else "") + f"checkpoint {path}")
+                if clock.stop:
+                    return False
         self._finish_cycle(duration)
         return not clock.stop or self.cycle == self.scene.cycles.count
 
@@ -276,7 +282,6 @@ class Simulation:
         self.tracers.move(self.state, dt, displaced, self.clock.remaps)
 
     def _checkpoint(self) -> pathlib.Path:
-        refuse_what_is_not_finite(self.state)
         self.saved_at = self.stop.elapsed()
         more = [] if self.tracers is None else self.tracers.blocks()
         return self.folder.write_checkpoint(self.state, self.cycle, self._attributes(), more)

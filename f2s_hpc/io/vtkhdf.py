@@ -160,8 +160,9 @@ def _write_index(file: h5py.File, frames: str, metas: Sequence[FrameMeta], share
         # of one frame alone readers take the file for one without steps, whose arrays have no axis for them
         virtual = h5py.VirtualLayout((count, *shape) if count > 1 else shape, dtype="f4")
         for step, meta in enumerate(metas):
-            virtual[step if count > 1 else ...] = h5py.VirtualSource(f"{frames}/{layout.frame_name(meta.number)}",
-                                               f"{VTK_ROOT}/{place}/{name}", shape=shape, dtype="f4")
+            source = h5py.VirtualSource(f"{frames}/{layout.frame_name(meta.number)}", f"{VTK_ROOT}/{place}/{name}",
+                                        shape=shape, dtype="f4")
+            virtual[step if count > 1 else ...] = source
         layout.tell_unit(root.create_virtual_dataset(f"{place}/{name}", virtual), UNITS.get(name))
         # Readers have crashed on files without offsets.
         offsets[place].create_dataset(name, data=np.arange(count, dtype=np.int64))

@@ -18,8 +18,7 @@ import numpy as np
 
 from f2s_hpc import places
 from f2s_hpc.errors import InputError
-from f2s_hpc.kernels.sphere import sphere_box_volume
-from f2s_hpc.particles.packing import smallest_gap_ratio
+from f2s_hpc.particles.packing import smallest_gap_ratio, volume_inside
 from f2s_hpc.particles.sizes import SMALLEST
 
 COLUMNS = ("x", "y", "z", "r")
@@ -168,12 +167,8 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
 
 
 def clipped_volume(batch: Batch, box_x: float, box_y: float, box_z: float) -> float:
-    """Return the volume (m3) of the spheres inside the box 0..box_x, 0..box_y, 0..box_z (m).
-
-    Closed form for spheres cut by any of the six sides; spheres are summed one by one (overlaps count twice).
-    """
-    return math.fsum(sphere_box_volume(x, y, z, r, 0.0, float(box_x), 0.0, float(box_y), 0.0, float(box_z))
-                     for x, y, z, r in zip(batch.x, batch.y, batch.z, batch.r))
+    """Return the volume (m3) of the spheres inside the box 0..box_x, 0..box_y, 0..box_z (m): :func:`volume_inside`."""
+    return volume_inside(batch.x, batch.y, batch.z, batch.r, (box_x, box_y, box_z))
 
 
 def smallest_gap(batch: Batch) -> float:

@@ -26,6 +26,15 @@ NEXT_SIZE = 0.95
 """A sphere this much smaller than one whose size was given up is tried again."""
 
 
+def volume_inside(x: np.ndarray, y: np.ndarray, z: np.ndarray, r: np.ndarray, box: tuple[float, float, float]) -> float:
+    """Return the volume (m3) of spheres inside the box from 0 to ``box`` (m).
+
+    Closed form for spheres cut by any of the six sides; spheres are summed one by one (overlaps count twice).
+    """
+    size_x, size_y, size_z = map(float, box)
+    return math.fsum(sphere_box_volume(*sphere, 0.0, size_x, 0.0, size_y, 0.0, size_z) for sphere in zip(x, y, z, r))
+
+
 @dataclass(frozen=True, eq=False)
 class PackingResult:
     """Placed spheres (m, largest first) and what the packing reached.
@@ -48,9 +57,7 @@ class PackingResult:
     def message(self) -> str:
         """Return one sentence: how many spheres were placed, how densely, and what to change if not all."""
         lx, ly, lz = (f"{1e3 * length:g}" for length in self.box)
-        inside = math.fsum(sphere_box_volume(*sphere, 0.0, self.box[0], 0.0, self.box[1], 0.0, self.box[2])
-                           for sphere in zip(self.x, self.y, self.z, self.r))
-        share = inside / math.prod(self.box)
+        share = volume_inside(self.x, self.y, self.z, self.r, self.box) / math.prod(self.box)
         text = (f"placed {self.placed} of {self.requested} spheres in {lx} x {ly} x {lz} mm at gap factor "
                 f"{self.gap_factor:g} (reached {self.reached_gap:.4f}, {100 * share:.1f} % of the volume)")
         if self.placed < self.requested:

@@ -114,9 +114,11 @@ def compare_measurements(first: str, second: str, settings: Settings) -> str:
     runs = [(label, measured(folder, settings, handover=False))
             for label, folder in zip(run_labels([first, second]), (first, second))]
     parts = [table.as_text() for table in [*tables(runs), *depth_tables(runs)]]
-    return "\n\n".join([f"Compared: {facts.subtitle(runs)}", *parts, _profile_difference(runs),
-                        facts.flattening_verdict([n for n, _ in runs], runs[0][1], runs[1][1]),
-                        *("\n".join(lines) for lines in [_comparison_notes(runs)] if lines)])
+    parts += [_profile_difference(runs), facts.flattening_verdict([n for n, _ in runs], runs[0][1], runs[1][1])]
+    notes = _comparison_notes(runs)
+    if notes:
+        parts.append("\n".join(notes))
+    return "\n\n".join([f"Compared: {facts.subtitle(runs)}", *parts])
 
 
 def _comparison_notes(runs: facts.Runs) -> list[str]:
