@@ -9,8 +9,8 @@
 # Ten minutes before the time limit SLURM signals, f2s writes a checkpoint and returns 75, and this job puts
 # itself in the queue again. A node that fails is the same case: SLURM requeues, f2s resumes; before the first
 # checkpoint it starts anew, and what was lost is kept beside as OUT-lost-1, -2, ... Another number of ranks is
-# possible at any link. The chain ends when the run is complete, at any other error, or when a link has gained no
-# checkpoint.
+# possible at any link. The chain ends when the run is complete, at any other error, when a link has gained no
+# checkpoint, or after "touch $OUT/STOP".
 #
 # Variables: SCENE, OUT, and those of jobs/common.sh.
 #SBATCH --job-name=f2s-chain
@@ -92,6 +92,10 @@ while true; do
     fi
     if [ "$ASKED_TO_END" = yes ]; then
         echo "the chain ends: it was asked to; start it again to go on"
+        exit $NOT_FINISHED
+    fi
+    if [ -e "$OUT/STOP" ]; then
+        echo "the chain ends: $OUT/STOP told it to; remove that file and start it again to go on"
         exit $NOT_FINISHED
     fi
     if [ "$(newest_checkpoint)" = "$before" ]; then

@@ -102,6 +102,37 @@ def test_a_picture_after_each_cycle_if_asked_for(tmp_path, monkeypatch):
 
 
 @pytest.mark.mpi
+def test_a_file_stops_a_run_with_a_checkpoint_until_it_is_removed(finished, shared_path, capsys, monkeypatch, scene):  # noqa: F811
+    """``touch RUN/STOP``: exit code 75, refused while it is there, then the bits of a run that never stopped.
+
+    Fails if ``StopRequest`` does not look for the file, or if ``f2s resume`` passes over it.
+    """
+    monkeypatch.setattr("f2s_hpc.cycles.stop.LOOK_FOR_FILE", 0.0)
+    folder, advance = shared_path / "run", simulation.advance
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        if clock.remaps == 5 and mpi.is_root():
+            (folder / layout.STOP_FILE).touch()
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+    assert main(["run", scene, "--out", str(folder)]) == 75
+    said = capsys.readouterr().out
+    assert not mpi.is_root() or f"stopped: {folder / layout.STOP_FILE} is there; checkpoint" in said
+    assert main(["resume", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert not mpi.is_root() or "remove that file to go on" in said
+    if mpi.is_root():
+        assert 5 <= runs.read_summary(folder)["steps"] < 15
+        (folder / layout.STOP_FILE).unlink()
+    mpi.barrier()
+    assert main(["resume", str(folder)]) == 0
+    ends = [list_checkpoints(pathlib.Path(place) / layout.CHECKPOINTS)[-1] for place in (finished, folder)]
+    (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
+    assert all(np.array_equal(values, others[name]) for name, values in fields.items())
+
+
+@pytest.mark.mpi
 @pytest.mark.parametrize("stopped", [False, True])
 def test_a_run_that_gets_more_cycles_is_one_that_had_them_from_the_start(finished, shared_path, capsys, stopped, scene):  # noqa: F811
     """To the last bit. ``stopped``: once more between being told and the end of the new cycle.

@@ -128,6 +128,21 @@ def test_chain_moves_nothing_in_a_dry_run_and_no_run_that_is_complete(project):
     assert (project / "calls").read_text().splitlines() == ["resume runs/c"]
 
 
+def test_chain_ends_where_a_file_tells_it_to(project):
+    """Fails if the chain starts another link after ``touch OUT/STOP``."""
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/f2s", """
+        echo "$*" >>calls
+        mkdir -p runs/c/checkpoints
+        touch runs/c/checkpoints/a.json runs/c/STOP
+        exit 75
+        """)
+    done = bash(["jobs/chain.sh"], project, OUT="runs/c", SCENE="splat")
+    assert done.returncode == 75, done.stdout + done.stderr
+    assert (project / "calls").read_text() == "run splat --out runs/c\n"
+    assert "runs/c/STOP told it to" in done.stdout
+
+
 def test_chain_in_slurm_goes_back_to_the_queue(project):
     write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
     write_command(project / ".venv/bin/f2s", "mkdir -p runs/c/checkpoints; touch runs/c/checkpoints/a.json; exit 75")

@@ -132,7 +132,7 @@ def resume(folder: str, overrides: list[str]) -> int:
 
 
 def _resume(folder: str, overrides: list[str]) -> int:
-    mpi.run_together(_writable, pathlib.Path(folder))
+    mpi.run_together(_may_go_on, pathlib.Path(folder))
     path, skipped = checkpoint.newest_valid_checkpoint(pathlib.Path(folder) / layout.CHECKPOINTS)
     for message in skipped:
         _say(message)
@@ -184,8 +184,11 @@ def _saved_scene(attributes: dict, source: str, overrides: list[str]) -> tuple[S
     return scene, changed, notes
 
 
-def _writable(folder: pathlib.Path) -> None:
-    """Raise ``InputError`` now if what the run will write cannot be written: not after a cycle has been computed."""
+def _may_go_on(folder: pathlib.Path) -> None:
+    """Raise ``InputError`` if the run was told to stop, or now, not a cycle later, if it will not be able to write."""
+    stop = folder / layout.STOP_FILE
+    if places.kind(stop) != places.NOTHING:
+        raise InputError(f"{stop}: tells this run to stop; remove that file to go on")
     for place in (folder, folder / layout.CHECKPOINTS, folder / layout.FRAMES):
         if places.kind(place) == places.FOLDER and not os.access(place, os.W_OK | os.X_OK):
             raise InputError(f"{place}: cannot be written (Permission denied); a run goes on in its own folder")
@@ -230,7 +233,8 @@ def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
     status = simulation.run()
     folder = pathlib.Path(folder)
     found = [(text, folder / name) for text, name in (
-        ("numbers", layout.SUMMARY_JSON), ("cycle table", layout.SUMMARY_CSV), ("ParaView", layout.INDEX))]
+        ("numbers", layout.SUMMARY_JSON), ("cycle table", layout.SUMMARY_CSV), ("ParaView", layout.INDEX),
+        ("view", layout.SERIES[layout.VIEW][0]))]
     found += [("picture", simulation.picture)] if simulation.picture else []
     _say(f"{status}: " + ", ".join(f"{text} {path}" for text, path in found if path.exists()))
     return 0 if status == COMPLETE else EXIT_REQUEUE

@@ -40,6 +40,17 @@ def frame_bytes(scene: Scene) -> int:
     return 4 * math.prod(scene.domain.cells) * len(scene.output.fields)
 
 
+def _view_line(scene: Scene) -> list[tuple[str, str]]:
+    """Return what the view of a scene takes; nothing without one."""
+    view = scene.output.view
+    if view.interval is None:
+        return []
+    count = math.floor(scene.cycles.total_time / view.interval + 1e-9)
+    cells = tuple(n for _, n in view.cells(scene.domain))
+    size = 4 * math.prod(cells) * len(scene.output.fields)
+    return [("view", f"{count:,} of {_grid(cells)} cells, {pretty_bytes(count * size)} in all, before compression")]
+
+
 def checkpoint_bytes(scene: Scene) -> int:
     """Return the size of one checkpoint: 8 bytes per cell or node and saved field."""
     cells = math.prod(scene.domain.cells)
@@ -123,6 +134,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("steps", f"about {math.ceil(total / step):,}"),
         ("frames", (f"{frames:,} of {pretty_bytes(frame_bytes(scene))}, "
                     f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression")),
+        *_view_line(scene),
         ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
          if scene.output.checkpoints else "none"),
         *more,

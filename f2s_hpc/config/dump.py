@@ -37,6 +37,8 @@ def _section(section: BaseModel, path: str) -> list[str]:
 
 def _value(value: object, kind: object, metadata: typing.Iterable[object] = ()) -> str:
     """Return one value as TOML; quantities with their unit."""
+    if type(None) in typing.get_args(kind):  # (what may be absent and is not)
+        kind = next(k for k in typing.get_args(kind) if k is not type(None))
     marks = [m for m in (*metadata, *getattr(kind, "__metadata__", ())) if isinstance(m, Unit)]
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -47,7 +49,4 @@ def _value(value: object, kind: object, metadata: typing.Iterable[object] = ()) 
         return "[" + ", ".join(_value(v, kinds[min(i, len(kinds) - 1)]) for i, v in enumerate(value)) + "]"
     if marks:
         return f'"{units.show(value, marks[0].dimension)}"'
-    options = [k for k in typing.get_args(kind) if k is not type(None)]
-    if typing.get_origin(kind) is not None and hasattr(options[0] if options else None, "__metadata__"):
-        return _value(value, options[0])  # a quantity that may be absent
     return repr(value)

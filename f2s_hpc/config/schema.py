@@ -118,6 +118,18 @@ def _check_repeats(scene: Scene) -> None:
                                                       'only "y" is possible')
 
 
+def _check_view(scene: Scene) -> None:
+    """Raise if the view is not in the box, or has a place but no time."""
+    view = scene.output.view
+    for axis, end in zip("xyz", scene.domain.extents):
+        span = getattr(view, axis)
+        if span is not None and span[1] > end * (1.0 + 1e-9):
+            raise wrong(f"output.view.{axis}", f"reaches to {length_text(span[1])}, but the box to {length_text(end)}")
+        if span is not None and view.interval is None:
+            raise wrong("output.view.interval", f'is missing, without which output.view.{axis} has no effect; for '
+                                                'example interval = "20 ns"')
+
+
 def _check_steps(scene: Scene) -> None:
     """Raise if sound is too fast for any time step, or the steps of the run are too many to end ever."""
     try:
@@ -127,10 +139,11 @@ def _check_steps(scene: Scene) -> None:
     if not 0.0 < sound <= FASTEST_SOUND:
         raise wrong("material.density", f"and the elastic constants give sound {sound:.3g} m/s, {FASTEST_SOUND:.3g} "
                                         "are possible; are their units right?")
-    interval = scene.output.frame_interval
-    if interval and not scene.cycles.total_time / interval <= MOST_FRAMES:
-        raise wrong("output.frame_interval", f"asks for {scene.cycles.total_time / interval:.3g} frames, "
-                                             f"{MOST_FRAMES:.3g} are possible; is its unit right?")
+    for key in ("frame_interval", "view.interval"):
+        interval = scene.output.view.interval if key.startswith("view") else scene.output.frame_interval
+        if interval and not scene.cycles.total_time / interval <= MOST_FRAMES:
+            raise wrong(f"output.{key}", f"asks for {scene.cycles.total_time / interval:.3g} frames, "
+                                         f"{MOST_FRAMES:.3g} are possible; is its unit right?")
     steps = scene.cycles.total_time * sound / (scene.numerics.courant * scene.domain.cell_size)
     if not steps <= MOST_STEPS_OF_RUN:
         raise wrong("cycles.duration", f"takes {steps:.3g} time steps at this cell size, {MOST_STEPS_OF_RUN:.3g} are "
@@ -174,6 +187,7 @@ class Scene(Section):
         _check_sleep(self)
         _check_temperatures(self)
         _check_speeds(self)
+        _check_view(self)
         _check_steps(self)
         there = {field.name for field in self.needed_fields}
         for name, need in ONLY_WITH.items():

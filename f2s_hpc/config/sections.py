@@ -263,6 +263,47 @@ class Numerics(Section):
     dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
 
 
+class View(Section):
+    """A part of the box that is written often, as a series of its own: a film of a section."""
+
+    x: tuple[LengthOrZero, LengthOrZero] | None = Field(
+        default=None, description="from where to where along x, m; one length: the layer of cells there; if not given, "
+                                  "the whole box")
+    y: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description="the same along y")
+    z: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description="the same along z")
+    interval: Time | None = Field(default=None, description="simulated time between two pictures, s; without it there "
+                                                            "is no view")
+
+    @field_validator("x", "y", "z", mode="before")
+    @classmethod
+    def _one_layer(cls, value: object) -> object:
+        if value is None or isinstance(value, (list, tuple)):
+            return value
+        if not isinstance(value, str):
+            raise ValueError('must be a length, as in "30 um", or two in brackets, from where to where')
+        return (value, value)
+
+    @field_validator("x", "y", "z")
+    @classmethod
+    def _in_order(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and value[0] > value[1]:
+            raise ValueError("must begin below its end")
+        return value
+
+    def cells(self, domain: Domain) -> tuple[tuple[int, int], ...]:
+        """Return first cell and number of cells along x, y and z: all cells of the box that it touches, one at least.
+
+        It must lie in the box.
+        """
+        found = []
+        for span, count in zip((self.x, self.y, self.z), domain.cells):
+            low, high = span or (0.0, count * domain.cell_size)
+            # what ends on the side of a cell, but for round-off, does not touch the next one
+            first = min(math.floor(low / domain.cell_size + 1e-6), count - 1)
+            found.append((first, max(1, min(math.ceil(high / domain.cell_size - 1e-6), count) - first)))
+        return tuple(found)
+
+
 class Output(Section):
     """What is written while running."""
 
@@ -270,6 +311,7 @@ class Output(Section):
                                     min_length=1, description="fields of the frames")
     frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
     frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
+    view: View = Field(default_factory=View, description="a part of the box that is written more often")
     checkpoints: Switch = Field(default=True, description="a checkpoint after each cycle")
     keep_checkpoints: Whole = Field(default=2, ge=1, description="number of checkpoints kept")
     archive_every: Whole = Field(default=0, ge=0, description="the checkpoint after each so many cycles is kept "

@@ -129,6 +129,33 @@ class RunFolder:
                            self.provenance() | {"cycle": cycle, "ends_cycle": ends_cycle})
         return vtkhdf.update_index(folder)
 
+    def write_view(self, state: State, model: Model, number: int, time: float) -> None:
+        """Write the scene's view as number ``number`` of its series; :meth:`update_view` renews the index."""
+        begin, count = (np.array(n)[::-1] for n in zip(*self.scene.output.view.cells(self.scene.domain)))
+        start = np.array(state.part.start[::-1])
+        blocks = []
+        for name in self.scene.output.fields:
+            data, more = measure.derived_field(state, model, name), int(measure.location(name) != CELL)
+            low = np.clip(begin - start, 0, data.shape)
+            high = np.clip(begin + count + more - start, low, data.shape)
+            part = data[tuple(slice(a, b) for a, b in zip(low, high))]
+            # (a rank without a part of it takes part in the writing)
+            place = start + low - begin if part.size else (0, 0, 0)
+            blocks.append(Block(name, part, tuple(int(n) for n in place), tuple(int(n) for n in count + more)))
+        folder, dx = self.path / layout.VIEW, model.dx
+        vtkhdf.write_frame(folder, number, time, blocks, tuple(float(n) * dx for n in begin[::-1]), (dx,) * 3,
+                           self.provenance())
+
+    def update_view(self, last: int) -> list[str]:
+        """Renew the index over what :meth:`write_view` has written up to number ``last``; return lines on what it lacks.
+
+        What a session left that went on past its last checkpoint and was killed is removed.
+        """
+        folder = self.path / layout.VIEW
+        layout.attempt_on_root(lambda: runs.drop_frames_after(self.path, last, layout.VIEW),
+                               f"{folder}: cannot be tidied")
+        return vtkhdf.update_index(folder)
+
     def write_tracers(self, cloud: TracerCloud, cycle: int) -> None:
         """Write the points of the particles at the end of ``cycle``; nothing while there are none."""
         if cloud.share[1]:

@@ -24,6 +24,7 @@ from f2s_hpc.errors import CheckpointError, F2SError
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
+from f2s_hpc.io.layout import STOP_FILE
 from f2s_hpc.particles.batch import flight_speed
 from f2s_hpc.particles.plan import BatchPlan, plan_digest
 from f2s_hpc.solver.step import Clock, advance
@@ -46,8 +47,8 @@ class Simulation:
 
     def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None) -> None:
         self.scene = scene
-        self.stop = StopRequest(scene.run.wall_time)
         self.folder = RunFolder(folder, scene)
+        self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE)
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
         self.balance = balance_of_run(scene, self.plan)
@@ -61,6 +62,7 @@ class Simulation:
         self.rows: list[dict] = []
         self.frame = 0
         self.intervals = 0  # frame intervals that have gone by
+        self.view_frame, self.view_intervals = 0, 0  # the same of the view
         self.substrate_quanta = 0
         self.active_at_start_of_cycle = 0
         self.spent = {"wall_s": 0.0, "peak_memory_bytes_per_rank": 0, "peak_memory_bytes": 0}  # before it was resumed
@@ -122,7 +124,8 @@ class Simulation:
         self.supply.restore(saved)
         self.rows, self.frame = saved["rows"], saved["frame"]
         self.spent |= saved.get("spent", {})
-        self.intervals = self._intervals()
+        self.view_frame = saved.get("view_frame", 0)
+        self.intervals, self.view_intervals = self._intervals(), self._intervals("view")
         self.substrate_quanta = int(saved["substrate_quanta"])
 
     def _attributes(self) -> dict:
@@ -141,7 +144,8 @@ class Simulation:
             "batches": self._batches,
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
-            "rows": self.rows, "frame": self.frame, "spent": self._spent(),
+            "rows": self.rows, "frame": self.frame, "view_frame": self.view_frame,
+            "spent": self._spent(),
             "substrate_quanta": str(self.substrate_quanta),
         }
 
@@ -202,11 +206,16 @@ class Simulation:
                 self.intervals = self._intervals()
                 if goes_on or self.scene.output.frames != "cycle":
                     self._frame(ends_cycle=False)
+            if self._intervals("view") > self.view_intervals:
+                self.view_intervals = self._intervals("view")
+                self.folder.write_view(self.state, self.model, self.view_frame, clock.time)
+                self.view_frame += 1
             if (clock.stop or clock.save) and goes_on:
                 refuse_what_is_not_finite(self.state)
                 path = self._checkpoint()
                 self.progress.say((f"stopped: {self.stop.reason()}; " if clock.stop else "") + f"checkpoint {path}")
                 if clock.stop:
+                    self._index_view()
                     return False
         self._finish_cycle(duration)
         return not clock.stop or self.cycle == self.scene.cycles.count
@@ -233,9 +242,10 @@ class Simulation:
         flight = self.supply.flight
         return float(np.linalg.norm(flight.velocity, axis=1).max()) if flight is not None and flight.count else 0.0
 
-    def _intervals(self) -> int:
-        """Return how many frame intervals have gone by; round-off at the end of one does not put it off."""
-        interval = self.scene.output.frame_interval
+    def _intervals(self, of: str = "frames") -> int:
+        """Return how many intervals of the frames or the view have gone by; round-off does not put one off."""
+        output = self.scene.output
+        interval = output.view.interval if of == "view" else output.frame_interval
         return int(self.clock.time / interval + 1e-9) if interval else 0
 
     def _finish_cycle(self, duration: float) -> None:
@@ -254,6 +264,7 @@ class Simulation:
         try:
             if output.frames == "cycle":
                 self._frame(ends_cycle=True)
+            self._index_view()
             if self.tracers is not None:
                 self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
         except F2SError as error:  # a picture of the state that can not be written must not cost the state
@@ -291,6 +302,12 @@ class Simulation:
                                             ends_cycle):
             self.progress.say(f"note: {note}")
         self.frame += 1
+
+    def _index_view(self) -> None:
+        """Renew the index of the view's series: not with each picture, which would take longer each time."""
+        if self.view_frame:
+            for note in self.folder.update_view(self.view_frame - 1):
+                self.progress.say(f"note: {note}")
 
     # --- numbers ------------------------------------------------------------------------------------
 

@@ -1,7 +1,8 @@
-"""Reasons to stop before the end: a signal, or the wall-time budget. Every rank may ask, all stop together."""
+"""Reasons to stop before the end: a signal, the wall-time budget, a file. Every rank may ask, all stop together."""
 
 from __future__ import annotations
 
+import pathlib
 import signal
 import time
 
@@ -9,18 +10,24 @@ from f2s_hpc import mpi
 
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
+LOOK_FOR_FILE = 2.0
+"""Seconds of wall time between two looks for the stop file: shared file systems are slow to answer."""
+
 
 class StopRequest:
     """Remembers that this rank was asked to stop.
 
-    ``wall_time``: budget in seconds from the creation of this object, or None. SIGUSR1 and SIGTERM
-    (what batch systems send before they kill) ask for a stop with a checkpoint, and so do SIGHUP (the terminal has
-    gone; not under nohup) and the first Ctrl-C.
+    ``wall_time``: budget in seconds from the creation of this object, or None. ``file``: rank 0 looks now and then
+    whether it exists, None for no such file. SIGUSR1 and SIGTERM (what batch systems send before they kill) ask for a
+    stop with a checkpoint, and so do SIGHUP (the terminal has gone; not under nohup) and the first Ctrl-C.
     """
 
-    def __init__(self, wall_time: float | None) -> None:
+    def __init__(self, wall_time: float | None, file: pathlib.Path | None = None) -> None:
         self.start = time.monotonic()
         self.wall_time = wall_time
+        self.file = file if mpi.is_root() else None
+        self.next_look = self.start
+        self.found_file = False
         self.signalled: str | None = None
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
@@ -37,9 +44,20 @@ class StopRequest:
 
     def asked(self) -> bool:
         """Tell whether this rank wants the run to stop."""
-        return self.signalled is not None or (self.wall_time is not None and self.elapsed() > self.wall_time)
+        spent = self.wall_time is not None and self.elapsed() > self.wall_time
+        return self.signalled is not None or spent or self._file_is_there()
+
+    def _file_is_there(self) -> bool:
+        if self.file is not None and not self.found_file and (now := time.monotonic()) >= self.next_look:
+            self.next_look = now + LOOK_FOR_FILE
+            try:
+                self.found_file = self.file.exists()
+            except OSError:  # a file system that does not answer is no wish to stop
+                pass
+        return self.found_file
 
     def reason(self) -> str:
         """Return why, for the log. Collective: a signal may have reached another rank only."""
-        found = [name for name in mpi.all_gather(self.signalled) if name]
-        return f"signal {found[0]}" if found else "the wall-time budget is spent"
+        own = f"signal {self.signalled}" if self.signalled else f"{self.file} is there" if self.found_file else None
+        found = [reason for reason in mpi.all_gather(own) if reason]
+        return found[0] if found else "the wall-time budget is spent"

@@ -4,11 +4,13 @@ A run folder holds::
 
     scene.toml                                             the resolved scene
     .lock                                                  locked while a run is at work in the folder
+    STOP                                                   made by a user who wants the run to stop
     checkpoints/checkpoint_cycle_0003_step_00001234.h5     every saved field, float64
     checkpoints/checkpoint_cycle_0003_step_00001234.json   its manifest, written last
     frames/frame_000003.vtkhdf                             chosen fields, float32, one file per frame
     tracers/tracers_000003.vtkhdf                          points of the particles at the end of a cycle
     deposit.vtkhdf  deposit.xmf                            what ParaView opens as a time series
+    view/frame_000003.vtkhdf  view.vtkhdf  view.xmf        the same of a part of the box, written more often
     summary.json  summary.csv                              the run, and one row per cycle
 
 Readers never see a file that is being written: it carries another name until it is whole.
@@ -31,10 +33,12 @@ from f2s_hpc import mpi
 from f2s_hpc.errors import F2SError
 
 FORMAT_VERSION = 2
-CHECKPOINTS, FRAMES, TRACERS = "checkpoints", "frames", "tracers"
-SCENE_FILE, LOCK = "scene.toml", ".lock"
+CHECKPOINTS, FRAMES, TRACERS, VIEW = "checkpoints", "frames", "tracers", "view"
+SCENE_FILE, LOCK, STOP_FILE = "scene.toml", ".lock", "STOP"
 SUMMARY_JSON, SUMMARY_CSV = "summary.json", "summary.csv"
 INDEX, SIDECAR = "deposit.vtkhdf", "deposit.xmf"
+SERIES = {FRAMES: (INDEX, SIDECAR), VIEW: (f"{VIEW}.vtkhdf", f"{VIEW}.xmf")}
+"""The index and the sidecar of each folder of frames, beside it."""
 PARTIAL, DELETED, DAMAGED = ".partial", ".deleted", ".damaged"
 FIELDS_GROUP, ATTRIBUTES = "fields", "attributes"
 VTK_ROOT, CELL_DATA, POINT_DATA = "VTKHDF", "CellData", "PointData"

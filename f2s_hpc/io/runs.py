@@ -167,11 +167,11 @@ def list_frames(folder: str | os.PathLike, frames: str = layout.FRAMES) -> list[
     return sorted(int(match[1]) for match in matches if match is not None)
 
 
-def drop_frames_after(folder: str | os.PathLike, number: int) -> None:
+def drop_frames_after(folder: str | os.PathLike, number: int, frames: str = layout.FRAMES) -> None:
     """Remove the frames of the run folder ``folder`` that come after ``number``."""
-    for later in list_frames(folder):
+    for later in list_frames(folder, frames):
         if later > number:
-            (pathlib.Path(folder) / layout.FRAMES / layout.frame_name(later)).unlink()
+            (pathlib.Path(folder) / frames / layout.frame_name(later)).unlink()
 
 
 def _meta(file: h5py.File) -> FrameMeta:

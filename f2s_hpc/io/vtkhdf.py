@@ -106,7 +106,7 @@ def update_index(folder: str | os.PathLike) -> list[str]:
     by all ranks, done by rank 0. Raises ``F2SError`` on all ranks when the files cannot be written.
     """
     folder = pathlib.Path(folder).absolute()
-    return attempt_on_root(lambda: _update_index(folder), f"cannot write {layout.INDEX} in {folder.parent}")
+    return attempt_on_root(lambda: _update_index(folder), f"cannot write the index of {folder}")
 
 
 def _update_index(folder: pathlib.Path) -> list[str]:
@@ -115,12 +115,13 @@ def _update_index(folder: pathlib.Path) -> list[str]:
         return notes
     shared = [field for field in metas[-1].locations if all(
         meta.locations.get(field) == metas[-1].locations[field] for meta in metas)]
-    path = folder.parent / layout.INDEX
+    index, sidecar = layout.SERIES[folder.name]
+    path = folder.parent / index
     partial = layout.partial_path(path)
     with h5py.File(partial, "w") as file:
         _write_index(file, folder.name, metas, shared)
     layout.publish(partial, path)
-    layout.write_text_file(folder.parent / layout.SIDECAR, xdmf.sidecar_text(folder.name, metas))
+    layout.write_text_file(folder.parent / sidecar, xdmf.sidecar_text(folder.name, metas))
     return notes
 
 
