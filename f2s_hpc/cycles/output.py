@@ -147,7 +147,7 @@ class RunFolder:
                            self.provenance())
 
     def update_view(self, last: int) -> list[str]:
-        """Renew the index over what :meth:`write_view` has written up to number ``last``; return lines on what it lacks.
+        """Renew the index over the pictures of :meth:`write_view` up to ``last``; return lines on what it lacks.
 
         What a session left that went on past its last checkpoint and was killed is removed.
         """

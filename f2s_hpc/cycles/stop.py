@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 import signal
 import time
@@ -50,10 +51,7 @@ class StopRequest:
     def _file_is_there(self) -> bool:
         if self.file is not None and not self.found_file and (now := time.monotonic()) >= self.next_look:
             self.next_look = now + LOOK_FOR_FILE
-            try:
-                self.found_file = self.file.exists()
-            except OSError:  # a file system that does not answer is no wish to stop
-                pass
+            self.found_file = os.path.exists(self.file)  # (false where the file system does not answer)
         return self.found_file
 
     def reason(self) -> str:
