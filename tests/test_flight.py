@@ -204,6 +204,25 @@ def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup
     assert z[3] == 80e-6
 
 
+def test_a_sphere_that_is_lifted_again_counts_once(setup):
+    """At launch, on the way, and after another one has landed and a stop. Fails if ``_count`` adds what it is given.
+
+    Or if ``_take`` leaves the mark of the sphere that has landed, or a checkpoint loses the marks.
+    """
+    flight = Flight(DX, setup.state.part.box.extents)
+    three = spheres((30e-6, 30e-6, 60e-6, 8e-6), (12e-6, 12e-6, 80e-6, 5e-6), (30e-6, 30e-6, 60e-6, 8e-6))
+    assert flight.launch(setup.state, three, DOWN, 0.0) == 1
+    assert flight.lifted.tolist() == [False, False, True]
+    flight._count(np.array([False, True, True]))
+    assert flight.raised == 1
+    flight._take(flight.at(0.0), np.array([True, False, False]))
+    again = Flight(DX, setup.state.part.box.extents)
+    again.restore(flight.attributes())
+    again._count(np.array([True, True]))
+    assert again.raised == 1
+    assert again.lifted.all()
+
+
 def test_a_sphere_that_is_raised_at_launch_does_not_end_up_in_another_of_its_batch(setup):
     """Material lifts the first up to the second, which stays; both arrive together.
 

@@ -40,7 +40,8 @@ class Flight:
     """The spheres in flight: the same on every rank, in the order in which they came.
 
     ``spheres``: places at time ``start`` (s) of each; ``velocity`` (n, 3) in m/s; ``contact``: time (s) at which each
-    comes within reach of another sphere in flight, infinite for most.
+    comes within reach of another sphere in flight, infinite for most; ``lifted``: which are higher than they were asked
+    to be.
     """
 
     def __init__(self, dx: float, extents: tuple[float, float, float]) -> None:
@@ -49,8 +50,9 @@ class Flight:
         self.velocity = np.empty((0, 3))
         self.start = np.empty(0)
         self.contact = np.empty(0)
+        self.lifted = np.empty(0, dtype=np.bool_)
         self.calls = 0
-        self.raised = 0  # spheres that started their life on the grid higher than they flew
+        self.raised = 0  # spheres that were lifted on their way, and not at its start
 
     @property
     def count(self) -> int:
@@ -82,10 +84,11 @@ class Flight:
         self.spheres = join([Batch(*self.spheres.arrays[:4]) if self.count else None, placed])
         self.velocity = np.concatenate([self.velocity, speeds])
         self.start = np.concatenate([self.start, np.full(batch.count, time)])
+        self.lifted = np.concatenate([self.lifted, raised])
         self.contact = time + waits(self.at(time), self.dx)
-        return raised
+        return int(raised.sum())
 
-    def _free_places(self, state: State, batch: Batch, flying: Batch) -> tuple[Batch, int]:
+    def _free_places(self, state: State, batch: Batch, flying: Batch) -> tuple[Batch, np.ndarray]:
         batch = batch.chosen(slice(None))
         raised = np.zeros(batch.count, dtype=np.bool_)
         settled = np.zeros(batch.count, dtype=np.bool_)
@@ -99,7 +102,7 @@ class Flight:
             shareable = 0.0  # what is raised is raised until it is free
             batch.z[hit] += CLEARANCE * self.dx
             raised |= hit
-        return batch, int(raised.sum())
+        return batch, raised
 
     def arrivals(self, state: State, time: float, dt: float) -> tuple[Batch, tuple[float, float, float]] | None:
         """Take the spheres that are about to meet something out of the flight; return them and the first's velocity.
@@ -135,7 +138,8 @@ class Flight:
     def _take(self, now: Batch, chosen: np.ndarray) -> tuple[Batch, tuple[float, float, float]]:
         keep, taken = ~chosen, now.chosen(chosen)
         self.spheres = Batch(*self.spheres.arrays[:4]).chosen(keep)
-        self.velocity, self.start, self.contact = self.velocity[keep], self.start[keep], self.contact[keep]
+        for name in ("velocity", "start", "contact", "lifted"):
+            setattr(self, name, getattr(self, name)[keep])
         same = (taken.velocity == taken.velocity[0]).all()
         return Batch(*taken.arrays[:4], None if same else taken.velocity), tuple(taken.velocity[0])
 
@@ -156,7 +160,13 @@ class Flight:
             if short > 0.0 and not held[low]:
                 self.spheres.z[high] += short
                 held[high] = True
+        self._count(held)
         return held
+
+    def _count(self, lifted: np.ndarray) -> None:
+        """Count those of the ``lifted`` spheres that had not been before."""
+        self.raised += int((lifted & ~self.lifted).sum())
+        self.lifted |= lifted
 
     def _make_room(self, state: State, now: Batch, chosen: np.ndarray) -> None:
         """Raise each chosen sphere that would overfill a cell, and what flies where it goes, until all have room.
@@ -173,7 +183,7 @@ class Flight:
             crowded |= chosen & self._push_up(now, crowded)
         self.spheres.z[:] += now.z - before
         lifted = now.z > before
-        self.raised += int(lifted.sum())
+        self._count(lifted)
         if (now.z + now.r > self.extents[2])[chosen & lifted].any():
             raise UnstableStep(NO_ROOM)
 
@@ -211,7 +221,7 @@ class Flight:
         """Return what a checkpoint must hold."""
         return {"spheres": [a.tolist() for a in self.spheres.arrays[:4]], "velocity": self.velocity.tolist(),
                 "start": self.start.tolist(), "contact": [float(c) if np.isfinite(c) else None for c in self.contact],
-                "calls": self.calls, "raised": self.raised}
+                "lifted": self.lifted.tolist(), "calls": self.calls, "raised": self.raised}
 
     def restore(self, saved: dict) -> None:
         """Take back what :meth:`attributes` returned."""
@@ -219,6 +229,8 @@ class Flight:
         self.velocity = np.array(saved["velocity"], dtype=float).reshape(-1, 3)
         self.start = np.array(saved["start"], dtype=float)
         self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)
+        # (older checkpoints do not tell)
+        self.lifted = np.array(saved.get("lifted", [False] * self.count), dtype=np.bool_)
         self.calls, self.raised = saved["calls"], saved["raised"]
 
     def take_inside(self, time: float) -> tuple[Batch, tuple[float, float, float]] | None:
