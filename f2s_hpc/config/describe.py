@@ -51,6 +51,17 @@ def _view_line(scene: Scene) -> list[tuple[str, str]]:
     return [("view", f"{count:,} of {_grid(cells)} cells, {pretty_bytes(count * size)} in all, before compression")]
 
 
+def _dwell_line(scene: Scene) -> list[tuple[str, str]]:
+    """Return what happens between the cycles; nothing without a dwell."""
+    if scene.cycles.dwell is None:
+        return []
+    backing = scene.substrate.backing
+    sink = ("no heat leaves the box" if backing is None else
+            f"heat leaves through the bottom to {pretty(scene.substrate.temperature, 'temperature')}"
+            + (f" behind {pretty(backing, 'length')} more of substrate" if backing else ""))
+    return [("dwell", f"{pretty(scene.cycles.dwell, 'time')} of conduction alone between two cycles; {sink}")]
+
+
 def checkpoint_bytes(scene: Scene) -> int:
     """Return the size of one checkpoint: 8 bytes per cell or node and saved field."""
     cells = math.prod(scene.domain.cells)
@@ -129,6 +140,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("speed", _speed(scene)),
         ("cycles", f"{count_text(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
+        *_dwell_line(scene),
         ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "
                        f"{scene.material.longitudinal_sound_speed:.0f} m/s)")),
         ("steps", f"about {math.ceil(total / step):,}"),

@@ -100,6 +100,10 @@ class Substrate(Section):
     """The substrate at the start."""
 
     temperature: Temperature = Field(default=298.15, description="initial temperature, K")
+    backing: LengthOrZero | None = Field(
+        default=None, description="thickness of the substrate below the box, m, through which heat leaves while the "
+                                  "deposit dwells, to a far side that keeps substrate.temperature; if not given, none "
+                                  "leaves")
 
 
 class Particles(Section):
@@ -207,6 +211,8 @@ class Cycles(Section):
     duration: Time = Field(description="duration of each cycle but the last, s")
     last_duration: Time = Field(default_factory=lambda data: data["duration"],
                                 description="duration of the last cycle, s; default: as the others")
+    dwell: Time | None = Field(default=None, description="time between the end of a cycle and the next batch, s, in "
+                                                         "which nothing moves and heat is conducted; none by default")
 
     @property
     def durations(self) -> tuple[float, ...]:
