@@ -174,7 +174,8 @@ class Scene(Section):
     scheme: Literal["recurring", "standard"] = Field(
         default="recurring", description="one batch per cycle, or all batches at once in one tall box")
     domain: Domain = Field(description="the box")
-    material: Material = Field(description="the material of particles and substrate")
+    material: Material = Field(description=(
+        "the material of particles and substrate: that of the library by its name, but for what is written here"))
     substrate: Substrate = Field(default_factory=Substrate, description="the substrate at the start")
     particles: Particles = Field(description="the particles when painted")
     batches: Batches = Field(description="the spheres")

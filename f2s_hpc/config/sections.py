@@ -261,7 +261,9 @@ class Numerics(Section):
     absorbing_depth: PositiveLength = Field(
         default=0.5e-3, description="depth of the material that stands behind an absorbing side, m")
     conduction: Switch = Field(default=True, description="heat conduction")
-    remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
+    remap_order: Literal[1, 2] = Field(default=2, description=(
+        "reconstruction by the remap; 2: of what cells hold at third order with a limiter, of node velocities at fifth "
+        "order without one; 1: of both at first order"))
     largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
     active_rows: Switch = Field(default=True, description="skip the rows without material; the results are the same")
     sleeping_depth: LengthOrZero = Field(default=0.0, description="depth below the surface from which on material at "
@@ -314,7 +316,8 @@ class Output(Section):
     """What is written while running."""
 
     fields: tuple[str, ...] = Field(default=("volume_fraction", "peeq", "temperature", "von_mises", "speed"),
-                                    min_length=1, description="fields of the frames")
+                                    min_length=1,
+                                    description=f"fields of the frames; there are {', '.join(SHOWN_FIELDS)}")
     frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
     frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
     view: View = Field(default_factory=View, description="a part of the box that is written more often")
@@ -327,8 +330,9 @@ class Output(Section):
     picture_each_cycle: Switch = Field(default=False, description="the picture is made anew after each cycle, to look "
                                                                   "at a run that goes on")
     origin: Switch = Field(default=False, description="follow which share of each cell came with the particles")
-    tracers: Whole = Field(default=0, ge=0, le=100000, description="material points that follow each particle, for its "
-                                                                   "exact shape and flattening; 0: none")
+    tracers: Whole = Field(
+        default=0, ge=0, le=100000, description="material points that follow each particle, for its exact shape and "
+                                                f"flattening, at least {LEAST_TRACERS}; 0: none")
 
     @field_validator("fields")
     @classmethod
@@ -351,6 +355,7 @@ class Output(Section):
 class Run(Section):
     """The run itself."""
 
-    wall_time: Time | None = Field(default=None, description="wall time after which the run stops with a checkpoint, s")
+    wall_time: Time | None = Field(default=None, examples=["90 min"],
+                                   description="wall time after which the run stops with a checkpoint, s")
     checkpoint_interval: Time = Field(
         default=1800.0, description="wall time after which a cycle that still runs gets a checkpoint within, s")

@@ -17,6 +17,9 @@ from f2s_hpc.errors import InputError
 
 FORMAT = "f2s stream 1"
 KEY = "particles.stream"
+MEANING = ("file that f2s stream --json has written; its fits give speed and speed_curvature, batches.distribution and "
+           "batches.jet_width; what the scene writes itself goes before")
+"""What the key gives, for the reference of keys: it stands in no section of the schema, which has what it becomes."""
 
 
 def read_record(path: str | os.PathLike) -> dict:
