@@ -22,8 +22,9 @@ DX = 3e-6
 MODEL = make_model(DX)
 RATE = diffusivity(MODEL) / DX**2  # explicit steps of number 1 per second
 
-LONG = SCENE.replace('"72 um"', '"112 um"').replace('"56 um"', '"96 um"').replace("count = 2", "count = 3").replace('duration = "15 ns"', 'duration = "15 ns", dwell = "20 us"')
-LONG += 'substrate = { backing = "100 um" }\noutput = { picture = false }\n'
+LONG = SCENE + 'substrate = { backing = "100 um" }\noutput = { picture = false }\n'
+for old, new in (('"72 um"', '"112 um"'), ('"56 um"', '"96 um"'), ("count = 2", 'count = 3, dwell = "20 us"')):
+    LONG = LONG.replace(old, new)
 
 
 def heat(state) -> float:

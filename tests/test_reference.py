@@ -86,7 +86,7 @@ def test_a_key_has_meaning_values_and_default(capsys, key, words):
 
 
 @pytest.mark.parametrize(("name", "first", "keys"), [
-    ("cycles", "[cycles]", ["cycles.count", "cycles.duration", "cycles.last_duration"]),
+    ("cycles", "[cycles]", ["cycles.count", "cycles.duration", "cycles.last_duration", "cycles.dwell"]),
     ("output.view", "[output.view]", [f"output.view.{key}" for key in ("x", "y", "z", "interval")]),
     ("faces", "[domain.faces]", [f"domain.faces.{axis}_{end}" for axis in "xyz" for end in ("low", "high")]),
     ("mie_grueneisen", '[material.pressure] model = "mie_grueneisen"',
