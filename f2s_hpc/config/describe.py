@@ -51,6 +51,12 @@ def _view_line(scene: Scene) -> list[tuple[str, str]]:
     return [("view", f"{count:,} of {_grid(cells)} cells, {pretty_bytes(count * size)} in all, before compression")]
 
 
+def _archive(scene: Scene) -> str:
+    """Return how many checkpoints are kept for good; nothing where none is."""
+    every = scene.output.archive_every
+    return f" and {scene.cycles.count // every:,} for good" if every else ""
+
+
 def _dwell_line(scene: Scene) -> list[tuple[str, str]]:
     """Return what happens between the cycles; nothing without a dwell."""
     if scene.cycles.dwell is None:
@@ -147,8 +153,8 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("frames", (f"{frames:,} of {pretty_bytes(frame_bytes(scene))}, "
                     f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression")),
         *_view_line(scene),
-        ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
-         if scene.output.checkpoints else "none"),
+        ("checkpoints", (f"the last {checkpoints} kept{_archive(scene)}, {pretty_bytes(checkpoint_bytes(scene))} each"
+                         if scene.output.checkpoints else "none")),
         *more,
         ("configuration", f"sha256 {scene_hash(scene)[:16]}"),
     ]

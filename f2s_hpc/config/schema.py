@@ -206,6 +206,8 @@ class Scene(Section):
         _check_temperatures(self)
         _check_speeds(self)
         _check_dwell(self)
+        if self.output.archive_every and not self.output.checkpoints:
+            raise wrong("output.archive_every", "has no effect with output.checkpoints = false; leave one of them out")
         _check_view(self)
         _check_steps(self)
         there = {field.name for field in self.needed_fields}
