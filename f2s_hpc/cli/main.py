@@ -218,7 +218,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
 
 _COMMANDS = {"scenes": _scenes, "materials": _materials, "check": _check, "plan": _plan, "run": _run,
              "resume": _resume, "particles": _particles, "stream": _stream, "feed": _feed, "inspect": _inspect,
-             "analyse": measuring.analyse, "compare": measuring.compare, "report": measuring.report, "verify": _verify}
+             "analyse": measuring.analyse, "compare": measuring.compare, "report": measuring.report,
+             "export": measuring.export, "verify": _verify}
 
 
 def main(arguments: list[str]) -> int:
