@@ -17,6 +17,7 @@ from mpi4py import MPI
 
 from f2s_hpc import places
 from f2s_hpc.errors import F2SError
+from f2s_hpc.phases import phase
 
 ROOT = 0
 DOUBLE = MPI.DOUBLE
@@ -63,6 +64,11 @@ def _reduced(value, operation: MPI.Op):
     local = np.asarray(value, order="C")
     if size() == 1:
         return local.copy() if local.ndim else local[()]
+    return _all_reduced(local, operation)
+
+
+@phase("reductions")
+def _all_reduced(local: np.ndarray, operation: MPI.Op):
     total = np.empty_like(local)
     MPI.COMM_WORLD.Allreduce(local, total, op=operation)
     return total if total.ndim else total[()]

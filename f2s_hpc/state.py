@@ -10,6 +10,7 @@ from f2s_hpc.grid.box import GHOST, Part
 from f2s_hpc.grid.decomposition import Decomposition
 from f2s_hpc.grid.halo import Pool
 from f2s_hpc.kernels import activity
+from f2s_hpc.phases import phase
 
 ROOM = 3
 """Rows around active ones that keep their memory: kernels write up to two beyond, and nodes have one row more."""
@@ -138,6 +139,7 @@ class State:
         self.boundary.fill(self.pool.memory, self.pool.offsets, ("mass",), where)
         self.update_activity(where)
 
+    @phase("activity")
     def update_activity(self, look: np.ndarray | None = None) -> None:
         """Find the active blocks from the present mass; zero what has just fallen outside them.
 

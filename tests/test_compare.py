@@ -40,7 +40,8 @@ def make_run(path: pathlib.Path, cycles=(1, 2), changed=None, **table) -> pathli
         checkpoint.write_checkpoint(run / "checkpoints", cycle, blocks, attributes)
         vtkhdf.write_frame(run / "frames", cycle, 1e-7 * cycle, blocks, (0, 0, 0), (1e-6,) * 3, {"cycle": cycle})
         rows.append({"cycle": cycle, "height_mean_m": 1e-6 * cycle, "dt_limit": "sound", "wall_s": 1.0, "ranks": 1,
-                     "peak_memory_bytes": 7, "active_cells": 5, "cells_per_s": 1e6, "eta_s": 3.0} | table)
+                     "peak_memory_bytes": 7, "active_cells": 5, "cells_per_s": 1e6, "eta_s": 3.0,
+                     "phases_remap_mean_s": 1.0} | table)
     with (run / "summary.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
@@ -51,7 +52,7 @@ def make_run(path: pathlib.Path, cycles=(1, 2), changed=None, **table) -> pathli
 def test_same_run_is_identical(tmp_path):
     """Fails when NaN is compared as a number: each field holds one."""
     a, b = make_run(tmp_path / "a"), make_run(tmp_path / "b", wall_s=9.0, ranks=4, peak_memory_bytes=1,
-                                              active_cells=1, cells_per_s=2.0, eta_s=0.0)
+                                              active_cells=1, cells_per_s=2.0, eta_s=0.0, phases_remap_mean_s=2.0)
     result = compare_runs(a, b)
     assert result.identical
     assert result.missing == result.notes == []

@@ -80,6 +80,25 @@ def format_table(rows: Sequence[Mapping[str, str | float | None]]) -> str:
     return "\n".join(line for line in (groups, *head, rule, *body) if line)
 
 
+def where_the_time_went(phases: object) -> str:
+    """Return in one line how the wall time of a run divides into phases, most first; what rounds to 0 % is left out.
+
+    ``phases``: those of ``summary.json``, per name ``mean_s`` and ``largest_s`` over the ranks. A share that is larger
+    on some rank than in the mean, in whole per cent, stands behind it. Raises ``InputError`` if they are no such thing.
+    """
+    try:
+        found = {str(name): (float(entry["mean_s"]), float(entry["largest_s"])) for name, entry in phases.items()}
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise InputError("phases: must tell mean_s and largest_s (seconds) of each phase") from None
+    whole = max(sum(mean for mean, _ in found.values()), 1e-300)
+    parts = []
+    for name, seconds in sorted(found.items(), key=lambda item: -item[1][0]):
+        mean, largest = (round(100.0 * each / whole) for each in seconds)
+        if largest:
+            parts.append(f"{name} {mean} %" + (f" (up to {largest})" if largest > mean else ""))
+    return f"where the time went, {whole:.4g} s: {', '.join(parts) or '-'}"
+
+
 def _text(column: Column, row: Mapping[str, str | float | None], number: int) -> str:
     """Return the cell of ``column`` in ``row``, the ``number``-th of the table."""
     value = row.get(column.key)

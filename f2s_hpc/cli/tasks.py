@@ -8,7 +8,7 @@ import pathlib
 
 from f2s_hpc import mpi, places
 from f2s_hpc._jit import kernels_are_compiled
-from f2s_hpc.analysis.table import TABLE_KEY, format_table
+from f2s_hpc.analysis.table import TABLE_KEY, format_table, where_the_time_went
 from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
@@ -300,13 +300,19 @@ def inspect(folder: str) -> int:
         if lacking:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_JSON}: lacks {', '.join(lacking)}; "
                              f"is {folder} the folder of a run?")
+        try:
+            # (older runs do not tell)
+            spent = [where_the_time_went(summary["phases"])] if "phases" in summary else []
+        except InputError as error:
+            raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_JSON}: {error}") from None
         rows = runs.read_cycle_table(folder)
         try:
             table = format_table(rows)
         except InputError as error:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_CSV}: {error}") from None
-        return (f"{summary['scene']}: {summary['status']}, {_counted(summary['particles'], 'particle')}, "
-                f"{_counted(summary['ranks'], 'rank')}\n{table}\n{TABLE_KEY}")
+        head = (f"{summary['scene']}: {summary['status']}, {_counted(summary['particles'], 'particle')}, "
+                f"{_counted(summary['ranks'], 'rank')}")
+        return "\n".join([head, *spent, table, TABLE_KEY])
 
     _say(mpi.run_together(read))
     return 0

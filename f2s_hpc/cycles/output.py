@@ -31,6 +31,7 @@ from f2s_hpc.io.tracers import TracerCloud
 from f2s_hpc.origin import versions
 from f2s_hpc.particles.batch import flight_speed, read_csv, write_csv
 from f2s_hpc.particles.plan import BatchPlan
+from f2s_hpc.phases import phase
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 from f2s_hpc.units import count_text
@@ -134,6 +135,7 @@ class RunFolder:
                            self.provenance() | {"cycle": cycle, "ends_cycle": ends_cycle})
         return vtkhdf.update_index(folder)
 
+    @phase("output")
     def write_view(self, state: State, model: Model, number: int, time: float) -> None:
         """Write the scene's view as number ``number`` of its series; :meth:`update_view` renews the index."""
         begin, count = (np.array(n)[::-1] for n in zip(*self.scene.output.view.cells(self.scene.domain)))
@@ -176,6 +178,7 @@ class RunFolder:
         checkpoint.prune(folder, self.scene.output.keep_checkpoints, self.scene.output.archive_every)
         return path
 
+    @phase("output")
     def write_tables(self, rows: list[dict], summary: dict) -> None:
         """Write ``summary.csv`` (a row per cycle) and ``summary.json``, each replaced whole.
 
@@ -200,6 +203,7 @@ class RunFolder:
                 raise
             _note(error)
 
+    @phase("output")
     def draw(self, summary: dict, plan: BatchPlan) -> pathlib.Path | None:
         """Draw the picture from the newest frame; return its path, None where there is none.
 
@@ -269,11 +273,13 @@ def _read_order(folder: pathlib.Path) -> tuple[list[int], list[str]]:
 
 
 def _flat(row: dict) -> dict:
-    """Return a row of the cycle table with the energy terms as columns of their own."""
+    """Return a row of the cycle table with the energy terms and the phases as columns of their own."""
     flat = {}
     for key, value in row.items():
         if isinstance(value, dict):
-            flat.update({f"{key}_{name}_J": repr(v) for name, v in value.items()})
+            for name, part in value.items():
+                flat |= ({f"{key}_{name}_{more}": repr(v) for more, v in part.items()} if isinstance(part, dict) else
+                         {f"{key}_{name}_J": repr(part)})
         else:
             flat[key] = "" if value is None else repr(value) if isinstance(value, float) else value
     return flat

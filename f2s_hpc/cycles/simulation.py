@@ -8,7 +8,7 @@ import pathlib
 
 import numpy as np
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, phases
 from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
@@ -18,16 +18,19 @@ from f2s_hpc.cycles.insert import InsertReport, paint_substrate
 from f2s_hpc.cycles.output import BATCHES, RunFolder
 from f2s_hpc.cycles.pause import Pause
 from f2s_hpc.cycles.progress import Progress
+from f2s_hpc.cycles.spent import Spent
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import Tracers, check_same
 from f2s_hpc.errors import CheckpointError, F2SError
 from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.grid import log
 from f2s_hpc.grid.pages import trim_heap
 from f2s_hpc.io import checkpoint
 from f2s_hpc.io.layout import STOP_FILE
 from f2s_hpc.particles.batch import flight_speed
 from f2s_hpc.particles.plan import BatchPlan, plan_digest
+from f2s_hpc.phases import phase
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.solver.timestep import SAVE, STOP
 from f2s_hpc.units import count_text
@@ -49,7 +52,9 @@ class Simulation:
     def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None) -> None:
         self.scene = scene
         self.folder = RunFolder(folder, scene)
+        phases.start()
         self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE)
+        self.stages = log.stages()
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
         self.balance = balance_of_run(scene, self.plan)
@@ -67,7 +72,7 @@ class Simulation:
         self.view_frame, self.view_intervals = 0, 0  # the same of the view
         self.substrate_quanta = 0
         self.active_at_start_of_cycle = 0
-        self.spent = {"wall_s": 0.0, "peak_memory_bytes_per_rank": 0, "peak_memory_bytes": 0}  # before it was resumed
+        self.spent = Spent()
         self.progress = Progress(False, 1.0, 0.0, 1.0)
         self.status = RUNNING
         self.picture: pathlib.Path | None = None  # made at the end
@@ -126,7 +131,7 @@ class Simulation:
         self.supply.restore(saved)
         self.pause.restore(saved.get("pause"))
         self.rows, self.frame = saved["rows"], saved["frame"]
-        self.spent |= saved.get("spent", {})
+        self.spent.restore(saved.get("spent", {}))
         self.view_frame = saved.get("view_frame", 0)
         self.intervals, self.view_intervals = self._intervals(), self._intervals("view")
         self.substrate_quanta = int(saved["substrate_quanta"])
@@ -149,7 +154,7 @@ class Simulation:
             "tracers": None if self.tracers is None else self.tracers.attributes(),
             "pause": self.pause.attributes(),
             "rows": self.rows, "frame": self.frame, "view_frame": self.view_frame,
-            "spent": self._spent(),
+            "spent": self.spent.so_far(self.stop.elapsed()),
             "substrate_quanta": str(self.substrate_quanta),
         }
 
@@ -204,6 +209,7 @@ class Simulation:
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
             if self.startup is None:
                 self.startup = measure.process_age(), measure.peak_memory()
+                phases.started(self.stages)
             if clock.remaps % REMAPS_PER_RELEASE == 0:
                 self.state.release_empty()
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration, self._fastest_in_flight)
@@ -254,6 +260,7 @@ class Simulation:
         interval = output.view.interval if of == "view" else output.frame_interval
         return int(self.clock.time / interval + 1e-9) if interval else 0
 
+    @phase("output")
     def _finish_cycle(self, duration: float) -> None:
         clock = self.clock
         clock.cycle_start += duration
@@ -298,17 +305,20 @@ class Simulation:
         """Move the tracers with the nodes."""
         self.tracers.move(self.state, dt, displaced, self.clock.remaps)
 
+    @phase("output")
     def _checkpoint(self) -> pathlib.Path:
         self.saved_at = self.stop.elapsed()
         more = [] if self.tracers is None else self.tracers.blocks()
         return self.folder.write_checkpoint(self.state, self.cycle, self._attributes(), more)
 
+    @phase("output")
     def _frame(self, ends_cycle: bool) -> None:
         for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle,
                                             ends_cycle):
             self.progress.say(f"note: {note}")
         self.frame += 1
 
+    @phase("output")
     def _index_view(self) -> None:
         """Renew the index of the view's series: not with each picture, which would take longer each time."""
         if self.view_frame:
@@ -317,6 +327,7 @@ class Simulation:
 
     # --- numbers ------------------------------------------------------------------------------------
 
+    @phase("measuring")
     def _row(self) -> dict:
         clock, scene = self.clock, self.scene
         row = {
@@ -328,7 +339,7 @@ class Simulation:
         if self.tracers is not None:
             row |= self.tracers.census(self.state)
         active = int(mpi.total(np.int64(clock.active_cell_steps)))
-        spent = self._spent()
+        spent = self.spent.so_far(self.stop.elapsed())
         loads = mpi.all_gather(clock.active_cell_steps - self.active_at_start_of_cycle)
         row |= {
             "speed_max_heavy_m_s": float(mpi.maximum(clock.fastest_heavy)),
@@ -337,18 +348,12 @@ class Simulation:
             "active_cell_steps_per_s": active / max(spent["wall_s"], 1e-9), **spent}
         return row
 
-    def _spent(self) -> dict:
-        """Return wall time and peak memory of the whole run, with what it had spent before it was resumed."""
-        memory, before = mpi.all_gather(measure.peak_memory()), self.spent
-        return {"wall_s": before["wall_s"] + float(mpi.broadcast(self.stop.elapsed())),
-                "peak_memory_bytes_per_rank": max(before["peak_memory_bytes_per_rank"], *memory),
-                "peak_memory_bytes": max(before["peak_memory_bytes"], sum(memory))}
-
     def summary(self) -> dict:
         """Return ``summary.json``: the last row of the cycle table, or the present state, and the run as a whole."""
         row = self.rows[-1] if self.rows and not self.batch_is_in else self._row()
-        # the frame after the last row may have taken most memory
-        row = row | {name: value for name, value in self._spent().items() if name != "wall_s"}
+        # (what was written after the last row took its time, and maybe most memory)
+        row = row | self.spent.so_far(self.stop.elapsed())
+        row["active_cell_steps_per_s"] = row["active_cell_steps"] / max(row["wall_s"], 1e-9)
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         age, memory = self.startup or (measure.process_age(), measure.peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}

@@ -12,6 +12,7 @@ from f2s_hpc.cycles.flight import Flight
 from f2s_hpc.cycles.insert import InsertReport, paint_arrivals, paint_batch
 from f2s_hpc.particles.batch import Batch, join
 from f2s_hpc.particles.plan import BatchPlan
+from f2s_hpc.phases import phase
 from f2s_hpc.solver import sleep
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -35,6 +36,7 @@ class Supply:
         self.waiting = join([])
         self.flight = Flight(model.dx, state.part.box.extents) if scene.ballistic else None
 
+    @phase("particles")
     def insert(self, cycle: int) -> tuple[InsertReport, str]:
         """Paint or launch the batch of ``cycle`` and what waited; return what happened, and as a sentence or ""."""
         # spheres that waited come last
@@ -61,6 +63,7 @@ class Supply:
         return report, (f"{raised} {'sphere starts' if raised == 1 else 'spheres start'} higher to clear what is in "
                         f"{'its' if raised == 1 else 'their'} place") if raised else ""
 
+    @phase("particles")
     def land(self) -> Batch | None:
         """Put the spheres that are about to meet something onto the grid; return them, None if there are none."""
         if self.flight is None:

@@ -19,6 +19,7 @@ from f2s_hpc.io.tracers import ParticleTable, TracerCloud
 from f2s_hpc.kernels.tracers import move_points
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.cloud import unit_ball
+from f2s_hpc.phases import phase
 from f2s_hpc.state import State
 
 TOGETHER = 4
@@ -63,6 +64,7 @@ class Tracers:
 
     # --- seed and move ------------------------------------------------------------------------------
 
+    @phase("tracers")
     def seed(self, batch: Batch, time: float) -> None:
         """Seed the spheres of ``batch`` (z from the bottom of the box, m), put onto the grid at ``time`` (s) just now.
 
@@ -89,6 +91,7 @@ class Tracers:
         self.particles = self.particles.with_more(
             ParticleTable(2.0 * batch.r, centres, np.full(batch.count, time), cut))
 
+    @phase("tracers")
     def move(self, state: State, dt: float, displaced: bool, remaps: int) -> None:
         """Move all points with the nodes, before the remap that follows ``remaps`` others. Collective.
 

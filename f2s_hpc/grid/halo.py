@@ -18,6 +18,7 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Decomposition, GhostMap
 from f2s_hpc.grid.pages import anonymous_pages, give_back
+from f2s_hpc.phases import phase
 
 MOST_PLACES = np.iinfo(PETSc.IntType).max
 PACKED = 16384
@@ -103,9 +104,12 @@ class Pool:
 
     def exchange(self, names: tuple[str, ...], layers: int = GHOST, axis: int | None = None) -> None:
         """Fill the ghosts of the named fields that other ranks own: ``layers`` deep, all or those along ``axis``."""
-        if mpi.size() == 1:
-            return
-        key = (names, layers, axis)
+        if mpi.size() > 1:
+            self._fetch((names, layers, axis))
+
+    @phase("ghosts")
+    def _fetch(self, key: tuple[tuple[str, ...], int, int | None]) -> None:
+        """Do the exchange of ``key``: names, layers, axis."""
         transfers = self._transfers.get(key)
         if transfers is None:
             transfers = self._transfers[key] = self._plan(*key)

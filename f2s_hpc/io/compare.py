@@ -22,7 +22,7 @@ from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.io.manifest import read_manifest
 from f2s_hpc.io.runs import list_frames, open_checkpoint_serial, open_frame, read_cycle_table, read_frame_meta
 
-NOT_A_RESULT = re.compile(r"wall_s|startup_s|.*_per_s|ranks|.*memory.*|eta.*|active_.*|imbalance")
+NOT_A_RESULT = re.compile(r"wall_s|startup_s|.*_per_s|ranks|.*memory.*|eta.*|active_.*|imbalance|phases.*")
 NOT_A_RESULT_ATTRIBUTE = re.compile(NOT_A_RESULT.pattern + r"|.*(wall|rank|host|unix|elapsed|resum|version|created).*"
                                     r"|batches\.(cycles|sha256)")
 INTEGER = re.compile(r"[+-]?[0-9]+")

@@ -7,6 +7,7 @@ import math
 from f2s_hpc.fields import VOLUME_FLUX
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import conduction
+from f2s_hpc.phases import phase
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
@@ -38,6 +39,7 @@ def conduct_asleep(state: State, model: Model, dt: float) -> None:
     state.exchange(tuple(n for n in ("temperature", "internal_energy") if n in state.views), asleep=True)
 
 
+@phase("conduction")
 def _conduct(state: State, model: Model, dt: float, listed: tuple, window: tuple, floor: tuple) -> None:
     number = diffusivity(model) * dt / model.dx**2
     substeps = max(1, math.ceil(number / LARGEST_NUMBER))

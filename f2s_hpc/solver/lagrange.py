@@ -7,12 +7,14 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import deformed, force, momentum, remap, strain
+from f2s_hpc.phases import phase
 from f2s_hpc.solver import absorbing, walls
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
 
 
+@phase("forces")
 def forces(state: State, model: Model, last_dt: float, ledger_power: np.ndarray,
            displaced: bool = False) -> tuple[float, int]:
     """Sum the cells' forces on the owned nodes.
@@ -55,6 +57,7 @@ TO_HEAT = ("viscous_pressure", "hourglass_power", "mass_flux")
 remap, the divergence of the velocity."""
 
 
+@phase("nodes")
 def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
     """Accelerate the owned nodes over ``dt`` and hold the walls; ghosts of velocity are not valid after."""
     runs, count = state.runs
@@ -69,6 +72,7 @@ def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
         ledger.add(name, value)
 
 
+@phase("forces")
 def second_half(state: State, model: Model, dt: float, displaced: bool, ledger: Ledger) -> None:
     """Kick the nodes over the second half of the last step (s) before a remap, with the stresses after it.
 
@@ -90,6 +94,7 @@ def second_half(state: State, model: Model, dt: float, displaced: bool, ledger: 
     kick(state, model, 0.5 * dt, ledger)
 
 
+@phase("nodes")
 def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float, float]:
     """Exchange momentum between light neighbours and around nodes beyond the speed limit; cap racing fragments.
 
@@ -117,6 +122,7 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
     return speeds
 
 
+@phase("deformation")
 def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: bool = False,
            last: bool = True, kicked: float | None = None) -> tuple[float, int]:
     """Strain the cells with the new velocity: swept volumes of the faces, stress, plastic flow, heating, closure.
@@ -153,6 +159,7 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     return gradient, where
 
 
+@phase("nodes")
 def displace(state: State, model: Model, dt: float, displaced: bool) -> None:
     """Move the nodes on and go on without a remap: ghosts as the next forces read them."""
     runs, count = state.runs

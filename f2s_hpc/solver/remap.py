@@ -7,6 +7,7 @@ import numpy as np
 from f2s_hpc.fields import VELOCITY, VOLUME_FLUX
 from f2s_hpc.grid.box import SIDES
 from f2s_hpc.kernels import flux, momentum, remap, seal, tag
+from f2s_hpc.phases import phase
 from f2s_hpc.solver import absorbing, walls
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -23,6 +24,7 @@ def sweep_order(number: int) -> tuple[int, int, int]:
     return SWEEP_ORDERS[number % len(SWEEP_ORDERS)]
 
 
+@phase("remap")
 def remap_all(state: State, model: Model, number: int, ledger: Ledger) -> None:
     """Carry every field back onto the grid; the order of the three sweeps changes with ``number``, that of the remap.
 

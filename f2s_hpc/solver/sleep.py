@@ -28,6 +28,7 @@ from f2s_hpc import mpi
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.kernels import activity, momentum, remap
+from f2s_hpc.phases import phase
 from f2s_hpc.solver import heat
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -56,6 +57,7 @@ class Sleep:
     since: float = 0.0
 
 
+@phase("activity")
 def look(state: State, model: Model, sleep: Sleep, time: float, remaps: int, ledger: Ledger) -> None:
     """Every so many remaps: conduct heat in what sleeps up to ``time`` (s), and find the floor anew (collective).
 
