@@ -19,7 +19,7 @@ PHASES = {
     "forces": "forces of the cells on the nodes",
     "nodes": "kick and move the nodes, light nodes",
     "deformation": "strain, stress and plastic flow (one kernel)",
-    "conduction": "conduction",
+    "conduction": "conduction, and the pauses between cycles in which only heat flows",
     "remap": "remap",
     "ghosts": "ghosts of all the above that other ranks own, waiting for them",
     "reductions": "maxima and sums over the ranks, waiting for all",

@@ -17,6 +17,7 @@ from f2s_hpc import mpi
 from f2s_hpc.fields import VOLUME_FLUX
 from f2s_hpc.grid.pages import sparse_zeros
 from f2s_hpc.kernels import conduction
+from f2s_hpc.phases import phase
 from f2s_hpc.solver.heat import diffusivity
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
@@ -52,6 +53,7 @@ def stage_weights(stages: int) -> list[tuple[float, float, float, float]]:
     return weights
 
 
+@phase("conduction")
 def dwell(state: State, model: Model, duration: float, backing: float | None, held_at: float) -> int:
     """Conduct heat for ``duration`` (s), nothing else; return the number of stages taken. Collective.
 
