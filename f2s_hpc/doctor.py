@@ -32,7 +32,7 @@ LAUNCHER_PARAMETERS = ("ess", "orte_", "pmix", "initial_wdir", "mpi_oversubscrib
 
 SETUP_AGAIN = "run scripts/setup"
 COMPUTING = ("MPI", "PETSc", "HDF5", "write, read")
-MEASURES = "to measure what a run left (analyse, report, compare, inspect) nothing is missing"
+MEASURES = "to measure what a run left (analyse, report, compare, inspect, export) nothing is missing"
 
 
 def clean_mpi_environment(environment: Mapping[str, str]) -> dict[str, str]:

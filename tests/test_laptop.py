@@ -97,21 +97,25 @@ def test_report_writes_the_same_page(place, there, tmp_path, monkeypatch, capsys
 
 @pytest.mark.parametrize(("arguments", "code"), [
     (["compare", "one", "two", *CUTOFF], 0), (["compare", "one", "two", "--exact"], 1), (["inspect", "one"], 0),
-    (["scenes"], 0), (["scenes", "track-120"], 0), (["check", "scene.toml"], 0), (["feed"], 0),
+    (["scenes"], 0), (["scenes", "track-120"], 0), (["scenes", "--keys"], 0), (["materials"], 0),
+    (["check", "scene.toml"], 0), (["feed"], 0),
     (["stream", "synthetic", "--json", "fits.json"], 0), (["particles", "scene.toml", "--out", "batches"], 0),
+    (["export", "one", "--to", "made.vtu"], 0), (["export", "one", "--to", "made.stl"], 0),
     (["verify", "--list"], 0), (["inspect", "nothing"], 2)], ids=lambda value: " ".join(value[:1] + value[-1:])
     if isinstance(value, list) else "")
 def test_what_needs_no_solver_prints_the_same(place, there, tmp_path, monkeypatch, capsys, arguments, code):
-    """Fails if one of these commands needs MPI or PETSc to start, or prints otherwise without."""
+    """Fails if one of these commands needs MPI or PETSc to start, or prints or writes otherwise without."""
     for name in ("one", "two", "scene.toml"):
         (tmp_path / name).symlink_to(place / name)
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == code
     here = capsys.readouterr()
-    for made in (tmp_path / "batches").glob("*"):
-        made.unlink()
+    files = {path: path.read_bytes() for path in [*tmp_path.glob("batches/*"), *tmp_path.glob("made.*")]}
+    for path in files:
+        path.unlink()
     done = run_there(there, *arguments, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (code, here.out, here.err)
+    assert {path: path.read_bytes() for path in files} == files
 
 
 @pytest.mark.parametrize("arguments", [["run", "scene.toml", "--out", "new"], ["resume", "one"], ["verify"],
@@ -135,7 +139,7 @@ def test_doctor_lists_what_is_missing(there, tmp_path):
     assert "import of mpi4py halted; None in sys.modules; run scripts/setup" in wrong["MPI"]
     assert "import of petsc4py halted; None in sys.modules; run scripts/setup" in wrong["PETSc"]
     assert not any("meshio:" in line or "AttributeError" in line for line in lines)
-    assert lines[-1] == "to measure what a run left (analyse, report, compare, inspect) nothing is missing"
+    assert lines[-1] == "to measure what a run left (analyse, report, compare, inspect, export) nothing is missing"
 
 
 def test_petsc_alone_is_missed_on_all_ranks_at_once(place, tmp_path):

@@ -12,7 +12,7 @@ def solver(command: str) -> None:
     failure = next(filter(None, mpi.all_gather(_failure())), "")
     if failure:
         raise InputError(f"f2s {command}: {failure}; run scripts/setup (Debian), or see 'On a cluster' in README.md; "
-                         "f2s analyse, report, compare and inspect work without")
+                         "f2s analyse, report, compare, inspect and export work without")
 
 
 def _failure() -> str:
