@@ -33,7 +33,8 @@ def cache_directory() -> str:
         home = pathlib.Path(os.environ.get("XDG_CACHE_HOME", pathlib.Path.home() / ".cache"))
         base = str(home / "f2s_hpc")
         if not os.access(home if home.exists() else home.parent, os.W_OK):
-            base = os.path.join(tempfile.gettempdir(), f"f2s_hpc-{os.getuid()}")
+            own = f"-{os.getuid()}" if hasattr(os, "getuid") else ""  # (Windows: each user's folder is his own)
+            base = os.path.join(tempfile.gettempdir(), f"f2s_hpc{own}")
     return os.path.join(base, source_hash("kernels", "materials"))
 
 

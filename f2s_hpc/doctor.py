@@ -19,6 +19,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from typing import TextIO
 
+from f2s_hpc import one_rank
 from f2s_hpc.errors import F2SError
 
 PROBE_RANKS = 2
@@ -30,6 +31,8 @@ KEPT_PREFIXES = ("OMPI_MCA_", "OMPI_ALLOW_")
 LAUNCHER_PARAMETERS = ("ess", "orte_", "pmix", "initial_wdir", "mpi_oversubscribe", "shmem_RUNTIME_QUERY_hint")
 
 SETUP_AGAIN = "run scripts/setup"
+COMPUTING = ("MPI", "PETSc", "HDF5", "write, read")
+MEASURES = "to measure what a run left (analyse, report, compare, inspect, export) nothing is missing"
 
 
 def clean_mpi_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -90,6 +93,8 @@ def _cores() -> str:
 
 
 def _memory() -> str:
+    if not hasattr(os, "sysconf"):  # (Windows)
+        return "unknown"
     total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
     with contextlib.suppress(OSError, StopIteration, ValueError), open("/proc/meminfo", encoding="ascii") as table:
         free = next(int(row.split()[1]) for row in table if row.startswith("MemAvailable"))
@@ -127,6 +132,14 @@ def _hdf5() -> str:
     if not parallel:
         raise RuntimeError(f"h5py {bindings} (HDF5 {library}) is the serial build")
     return f"h5py {bindings}, HDF5 {library}, MPI build"
+
+
+def _reads_hdf5() -> bool:
+    try:
+        importlib.import_module("f2s_hpc.io.runs")
+    except Exception:
+        return False
+    return True
 
 
 def _describe(report: _Report) -> bool:
@@ -207,7 +220,7 @@ def run_doctor(stream: TextIO = sys.stdout) -> int:
 
         ranks, speaks = mpi.size(), mpi.is_root()
     except Exception:
-        ranks, speaks = 1, True
+        ranks, speaks = 1, one_rank.launched_rank() == 0
     report = _Report(stream, speaks)
     ready = _describe(report)
     mend = "see the lines above; on a network file system try HDF5_USE_FILE_LOCKING=FALSE or OMPI_MCA_io=^ompio"
@@ -220,6 +233,8 @@ def run_doctor(stream: TextIO = sys.stdout) -> int:
         report.wrong = list(dict.fromkeys(line for lines in mpi.all_gather(report.wrong) for line in lines))
     if speaks:
         print("\n".join(report.wrong) or "all good", file=stream, flush=True)
+        if report.wrong and all(line.startswith(COMPUTING) for line in report.wrong) and _reads_hdf5():
+            print(MEASURES, file=stream, flush=True)
     return 1 if report.wrong else 0
 
 

@@ -13,11 +13,24 @@ from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
-from mpi4py import MPI
 
-from f2s_hpc import places
-from f2s_hpc.errors import F2SError
+from f2s_hpc import one_rank, places
+from f2s_hpc.errors import F2SError, InputError
 from f2s_hpc.phases import phase
+
+try:
+    from mpi4py import MPI
+except ModuleNotFoundError as error:
+    if error.name != "mpi4py":  # (it is there, and broken)
+        raise
+    if one_rank.launched_size() > 1:
+        raise InputError(f"mpi4py is not installed, so the {one_rank.launched_size()} processes that a launcher has "
+                         "started cannot work together; install it ('f2s doctor' tells how), or start f2s without "
+                         "the launcher") from None
+    from f2s_hpc.one_rank import MPI
+
+INSTALLED = MPI is not one_rank.MPI
+"""Whether mpi4py is there; without it this is one rank, which can measure what a run left, but not run."""
 
 ROOT = 0
 DOUBLE = MPI.DOUBLE

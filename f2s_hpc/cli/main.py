@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import io
 import pathlib
-import signal
 import sys
 from typing import NoReturn, TextIO
 
-from f2s_hpc import places
+from f2s_hpc import one_rank, places
 from f2s_hpc.cli import measuring
 from f2s_hpc.errors import F2SError, InputError
+
+SIGPIPE_CODE = 128 + 13
+"""What shells give for a program that a closed pipe ended (Windows does not know the signal by name)."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -35,11 +37,11 @@ class _Version(argparse.Action):
 
 
 def _speaks() -> bool:
-    """Tell whether this is rank 0; true where there is no MPI, as ``f2s doctor`` must be able to say."""
+    """Tell whether this is rank 0, also where MPI does not load, as ``f2s doctor`` must be able to say."""
     try:
         from f2s_hpc import mpi
-    except (ImportError, OSError, RuntimeError):
-        return True
+    except (ImportError, OSError, RuntimeError, F2SError):
+        return one_rank.launched_rank() == 0
     return mpi.is_root()
 
 
@@ -152,12 +154,15 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
+    from f2s_hpc.cli import needs
+    needs.solver("plan")
     from f2s_hpc.cli import plan
     return plan.run(arguments)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from f2s_hpc.cli import tasks
+    from f2s_hpc.cli import needs, tasks
+    needs.solver("run")
     scene = tasks.load(arguments.scene, arguments.overrides)
     if arguments.out == "":
         raise InputError("--out: names no folder; is a variable empty? leave it out for runs/<scene>")
@@ -166,7 +171,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _resume(arguments: argparse.Namespace) -> int:
-    from f2s_hpc.cli import tasks
+    from f2s_hpc.cli import needs, tasks
+    needs.solver("resume")
     return tasks.resume(arguments.folder, arguments.overrides)
 
 
@@ -192,11 +198,13 @@ def _inspect(arguments: argparse.Namespace) -> int:
 
 def _verify(arguments: argparse.Namespace) -> int:
     from f2s_hpc import mpi
+    from f2s_hpc.cli import needs
     from f2s_hpc.verify import suite
     if arguments.list:
         if mpi.is_root():
             print(suite.list_cases())
         return 0
+    needs.solver("verify")
     if (arguments.extreme or arguments.levers) and arguments.cases:
         raise InputError("f2s verify: name cases, or ask for --extreme or --levers, not both")
     if arguments.extreme and arguments.levers:
@@ -228,7 +236,13 @@ def main(arguments: list[str]) -> int:
     if parsed.command == "doctor":
         # tells what is missing, so it must start where the rest can not
         return _doctor(parsed)
-    from f2s_hpc import mpi
+    try:
+        from f2s_hpc import mpi
+    except F2SError as error:
+        return _told(error)
+    except (ImportError, OSError, RuntimeError) as error:
+        return _told(InputError(f"f2s does not start: {_line(error)}; 'f2s doctor' tells what is missing or broken, "
+                                "and how to mend it"))
     mpi.install_abort_hook()
     try:
         code = _COMMANDS[parsed.command](parsed)
@@ -240,9 +254,18 @@ def main(arguments: list[str]) -> int:
         if mpi.size() > 1:  # (the other ranks may wait for this one: the hook ends them all)
             raise
         return _left_alone() if isinstance(error, BrokenPipeError) else _told(places.refused(error))
+    except ModuleNotFoundError as error:
+        if mpi.size() > 1 or str(error.name).startswith("f2s_hpc"):
+            raise
+        return _told(InputError(f"{error.name} is not installed; 'f2s doctor' tells what else is missing, and how to "
+                                "get it"))
     finally:
         if "f2s_hpc.grid.halo" in sys.modules and sys.exc_info()[0] is None:
             sys.modules["f2s_hpc.grid.halo"].release_all()
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _told(error: F2SError) -> int:
@@ -258,7 +281,7 @@ def _left_alone() -> int:
     """Print no more, as what reads the output (head, less) has ended; return the exit code that shells give for it."""
     from f2s_hpc.cycles.progress import silence
     silence()
-    return 128 + signal.SIGPIPE
+    return SIGPIPE_CODE
 
 
 def entry() -> None:

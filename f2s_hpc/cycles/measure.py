@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pathlib
-import resource
 import time
 
 import numpy as np
@@ -241,4 +240,5 @@ def peak_memory() -> int:
                 return int(line.split()[1]) * 1024
     except OSError:
         pass
+    import resource  # (not on Windows, where runs are only measured)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -9,7 +9,8 @@ import time
 
 from f2s_hpc import mpi
 
-SIGNALS = (signal.SIGUSR1, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+# (Windows, where runs are only measured, has neither the first nor the last)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGUSR1", "SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name))
 
 LOOK_FOR_FILE = 2.0
 """Seconds of wall time between two looks for the stop file: shared file systems are slow to answer."""

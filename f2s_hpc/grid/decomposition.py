@@ -7,18 +7,18 @@ the cells, with one node more on the last rank of each axis.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import petsc4py
 
-# its own handlers would turn a closed pipe or the signal that asks for a checkpoint into an abort
-petsc4py.init(["-no_signal_handler"])
-from petsc4py import PETSc  # noqa: E402  (PETSc reads its options at import)
+from f2s_hpc import mpi
+from f2s_hpc.errors import InputError
+from f2s_hpc.grid import petsc
+from f2s_hpc.grid.box import GHOST, Box, Part
+from f2s_hpc.grid.pages import trim_heap
 
-from f2s_hpc import mpi  # noqa: E402
-from f2s_hpc.errors import InputError  # noqa: E402
-from f2s_hpc.grid.box import GHOST, Box, Part  # noqa: E402
-from f2s_hpc.grid.pages import trim_heap  # noqa: E402
+if TYPE_CHECKING:
+    from petsc4py import PETSc
 
 _RANK_STRIDE = float(2**36)
 
@@ -146,6 +146,7 @@ class Decomposition:
         trim_heap()
 
     def _create(self, sizes: tuple[int, ...], ranges: list[list[int]]) -> PETSc.DMDA:
+        PETSc = petsc.load()
         ghosted = PETSc.DM.BoundaryType.GHOSTED
         try:
             return PETSc.DMDA().create(

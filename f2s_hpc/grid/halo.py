@@ -9,18 +9,21 @@ Only ghosts are touched, and of those only the ones below the highest material: 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from petsc4py import PETSc
 
 from f2s_hpc import mpi
 from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.grid import petsc
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Decomposition, GhostMap
 from f2s_hpc.grid.pages import anonymous_pages, give_back
 from f2s_hpc.phases import phase
 
-MOST_PLACES = np.iinfo(PETSc.IntType).max
+if TYPE_CHECKING:
+    from petsc4py import PETSc
+
 PACKED = 16384
 """Ghosts of a rank (of one field) up to which all fields of an exchange go in one message per neighbour.
 
@@ -123,7 +126,8 @@ class Pool:
         ghosts = {location: self._ghosts(location, layers, axis) for location in {BY_NAME[n].location for n in names}}
         most = max(found.local.size for found in ghosts.values())
         # (PETSc of the distributions counts with 32-bit integers, and all fields of a rank may be more than that)
-        if mpi.maximum(np.int64(most)) <= PACKED and mpi.maximum(np.int64(self.memory.size)) <= MOST_PLACES:
+        places = np.iinfo(petsc.load().IntType).max
+        if mpi.maximum(np.int64(most)) <= PACKED and mpi.maximum(np.int64(self.memory.size)) <= places:
             return [(self._forest(("packed", names, layers, axis), self.memory.size, *self._packed(names, ghosts)),
                      self.memory)]
         found = []
@@ -157,6 +161,7 @@ class Pool:
         """Return the star forest of ``key``, made from ``local`` and ``remote`` unless there is one."""
         forest = self._forests.get(key)
         if forest is None:
+            PETSc = petsc.load()
             forest = self._forests[key] = PETSc.SF().create(comm=mpi.world())
             forest.setGraph(size, local.astype(PETSc.IntType), remote.astype(PETSc.IntType))
             forest.setUp()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from f2s_hpc.grid import petsc
+
 
 def petsc_versions() -> tuple[str, str, str]:
     """Return the version of petsc4py, that of PETSc, and its scalar type (it must be ``float64``)."""
+    PETSc = petsc.load()
     import petsc4py
-
-    petsc4py.init([])
-    from petsc4py import PETSc
 
     return petsc4py.__version__, ".".join(str(part) for part in PETSc.Sys.getVersion()), PETSc.ScalarType.__name__

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import fcntl
 import json
 import os
 import pathlib
@@ -91,6 +90,7 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
     place = pathlib.Path(path) / layout.LOCK
 
     def lock() -> int | None:
+        import fcntl  # (not on Windows, where runs are only read)
         try:
             # (a file of its own, that nothing replaces)
             file = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
@@ -115,6 +115,7 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
 
 def _held(path: pathlib.Path) -> bool:
     """Tell whether another process holds the run folder ``path`` (see :func:`hold`)."""
+    import fcntl
     with contextlib.suppress(OSError), (path / layout.LOCK).open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -14,6 +14,7 @@ import numpy as np
 from f2s_hpc import mpi, places
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.errors import InputError
+from f2s_hpc.grid import petsc
 from f2s_hpc.report import facts, traced
 from f2s_hpc.report.deposit import load_deposit
 from f2s_hpc.report.draw import draw_all
@@ -42,16 +43,21 @@ def alone(command: str) -> None:
 
 def measured(folder: str, settings: Settings, cycle: int | None = None, experiment: Profile | None = None,
              handover: bool = True) -> Measurements:
-    """Return the measurements of the run in ``folder``; ``handover``: check the newest hand-over too.
+    """Return the measurements of the run in ``folder``; ``handover``: check the newest hand-over too,
+    where what the solver stands on is installed and the memory suffices; else a note tells why not.
 
     Raises ``InputError`` for what is no run or cannot be measured, ``CheckpointError`` for damaged files.
     """
     found = measure(load_deposit(folder, cycle), settings, experiment)
+    if not handover:
+        return found
     need = memory_needed(found.deposit.scene)
-    if handover and need > MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+    if lacking := petsc.lacking():
+        found.notes.append(f"hand-over between cycles: not checked; it takes the solver, and {lacking}")
+    elif need > MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
         found.notes.append(f"hand-over between cycles: not checked; it takes {pretty_bytes(need)}, too much for this "
                            "machine")
-    elif handover:
+    else:
         found.handover = check_handover(folder, cycle)
     return found
 
