@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from f2s_hpc import fields, units
 from f2s_hpc.config.material import Material, MieGrueneisenPressure
+from f2s_hpc.config.particles import Particles
 from f2s_hpc.config.quantities import Section, wrong
 from f2s_hpc.config.sections import (
     Batches,
@@ -16,7 +17,6 @@ from f2s_hpc.config.sections import (
     Domain,
     Numerics,
     Output,
-    Particles,
     Run,
     Substrate,
     length_text,
