@@ -104,11 +104,15 @@ def _parse_unit(text: str) -> tuple[Decimal, Exponents]:
     return factor, tuple(exponents)
 
 
+def with_article(noun: str) -> str:
+    """Return a noun with its article: "a length", "an energy"."""
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
 def _describe(exponents: Exponents) -> str:
     for dimension in DIMENSIONS.values():
         if dimension.exponents == exponents:
-            article = "an" if dimension.name[0] in "aeiou" else "a"
-            return f"{article} {dimension.name}"
+            return with_article(dimension.name)
     return "another kind of quantity"
 
 

@@ -13,7 +13,7 @@ from f2s_hpc.cycles.insert import OVERFILL, paint_arrivals
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.particles.batch import Batch, smallest_gap
-from f2s_hpc.particles.meeting import LEAD
+from f2s_hpc.particles.meeting import LEAD, waits
 
 DX = 3e-6
 CELLS = (24, 20, 40)
@@ -165,7 +165,7 @@ def test_spheres_that_fit_one_by_one_but_not_together_are_raised(setup):
 def test_a_faster_sphere_meets_a_slower_one_when_their_gap_is_two_reaches(setup):
     """|p + w t| = r_1 + r_2 + 2 reach in closed form; fails if the later root is taken, or one radius only."""
     flight = Flight(DX, setup.state.part.box.extents)
-    batch = spheres((30e-6, 30e-6, 60e-6, 6e-6), (30e-6, 30e-6, 110e-6, 9e-6), (50e-6, 20e-6, 200e-6, 5e-6),
+    batch = spheres((30e-6, 30e-6, 160e-6, 6e-6), (30e-6, 30e-6, 210e-6, 9e-6), (50e-6, 20e-6, 300e-6, 5e-6),
                     velocity=[(0, 0, -500.0), (0, 0, -700.0), (0, 0, -500.0)])
     flight.launch(setup.state, batch, DOWN, 1e-6)
     wanted = 1e-6 + (50e-6 - 15e-6 - 2 * REACH * DX) / 200.0
@@ -189,6 +189,37 @@ def test_spheres_that_pass_by_do_not_wait_and_those_that_close_in_slowly_wait_la
     flight.launch(setup.state, spheres((30e-6, 30e-6, 300e-6, 6e-6), (30e-6, 30e-6, 300e-6 + both + gap, 9e-6),
                                        velocity=[(0, 0, -speed), (0, 0, -speed - 20.0)]), DOWN, 1e-6)
     assert flight.contact == pytest.approx(1e-6 + (gap - DX) / 20.0 - LEAD * DX / speed, rel=1e-12)
+
+
+def test_one_sphere_at_rest_does_not_pair_all_with_all(rng):
+    """In a jet, by brute force with and without it; the same for one that flies up. Fails without ``_odd_ones``.
+
+    Or if those are compared with the common ones only, or with each other only.
+    """
+    count, down = 400, rng.uniform(550.0, 640.0, 400)
+    velocity = np.stack([rng.normal(0.0, 5.0, count), rng.normal(0.0, 5.0, count), -down], axis=1)
+    velocity[7], velocity[11], velocity[300] = (0.0, 0.0, 0.0), (0.0, 0.0, 3.0), (0.0, 0.0, -5.0)
+    x, y, z = rng.uniform(0.0, 300e-6, count), rng.uniform(0.0, 300e-6, count), rng.uniform(60e-6, 400e-6, count)
+    batch = Batch(x, y, z, np.full(count, 5e-6), velocity)
+    with np.errstate(all="raise"):
+        found = waits(batch, DX)
+    places, wanted = np.stack([x, y, z], axis=1), np.full(count, np.inf)
+    landing = z / np.maximum(-velocity[:, 2], 1e-3)
+    for a in range(count):
+        for b in range(a + 1, count):
+            p, w = places[b] - places[a], velocity[b] - velocity[a]
+            times = []
+            for gap in (DX, 2.0 * REACH * DX):
+                inner = p @ p - (10e-6 + gap) ** 2
+                root = (p @ w) ** 2 - (w @ w) * inner
+                meets = p @ w < 0.0 <= root
+                times.append((0.0 if inner <= 0.0 else (-(p @ w) - root**0.5) / (w @ w)) if meets else np.inf)
+            if times[0] < min(landing[a], landing[b]):
+                lead = LEAD * DX / max(np.linalg.norm(velocity[a]), 1e-3)
+                for one in (a, b):
+                    wanted[one] = min(wanted[one], max(times[1], times[0] - lead, 0.0))
+    assert np.isfinite(wanted).sum() > 20
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
 def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup):

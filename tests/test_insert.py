@@ -245,7 +245,8 @@ def test_a_sphere_without_a_free_place_waits(setup):
     assert report.spheres == 0
     assert report.moved == 0
     assert report.volume == 0.0
-    assert "2 spheres found no free place" in report.message()
+    assert "2 spheres found no free place and wait for the next batch" in report.message()
+    assert "2 spheres found no free place and are left out, as no batch follows" in report.message(last=True)
     for name in ("x", "y", "z", "r"):
         assert np.array_equal(getattr(report.deferred, name), getattr(batch, name))
     assert all(np.array_equal(setup.whole(name), array) for name, array in before.items())

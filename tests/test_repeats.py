@@ -109,3 +109,11 @@ def test_powder_is_even_up_to_the_sides(jet):
     for batch in even:
         assert (np.hypot(np.maximum(np.maximum(-batch.x, batch.x - size), 0.0),
                          np.maximum(np.maximum(-batch.y, batch.y - size), 0.0)) < batch.r).all()
+
+
+def test_even_sides_leave_no_batch_empty():
+    """One particle a batch: some come down beside the box, and are drawn anew. Fails without ``DRAWS``."""
+    for seed in range(12):
+        found = plan("batches.count=3", "batches.particles=1", "cycles.count=3", "batches.even_sides=true",
+                     f"batches.seed={seed}", scene="quickstart")
+        assert all(batch.count >= 1 for batch in found.batches), seed

@@ -10,12 +10,14 @@ import math
 import pathlib
 import re
 import shutil
+import types
 
 import numpy as np
 import pytest
 
 from f2s_hpc.analysis.surface import attached_material, surface_height
 from f2s_hpc.cli.main import main
+from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
@@ -24,7 +26,7 @@ from f2s_hpc.report.deposit import checkpoint_fields, checkpoints_by_cycle, load
 from f2s_hpc.report.draw import draw_all
 from f2s_hpc.report.facts import flattening_verdict, handover_text
 from f2s_hpc.report.handover import check_handover
-from f2s_hpc.report.measure import Settings, is_section4, measure
+from f2s_hpc.report.measure import Settings, is_section4, measure, paper_height
 from f2s_hpc.report.page import build_page
 from f2s_hpc.report.quantities import Quantity, percent, quantities, tables
 
@@ -295,6 +297,18 @@ def test_the_papers_height_stands_beside_section_4_only(two_runs):
     assert heights.rows[0][-2] == "363.00"
     assert heights.rows[0][-1] == percent(found.heights["dense"], 363e-6)
     assert json.dumps(as_dictionary(found), allow_nan=False)
+
+
+def test_the_papers_height_is_that_of_its_powder_and_material():
+    """Fails when any 5000 particles of 615 m/s on that patch are set beside the paper, as Johnson-Cook's are."""
+    notes = []
+    cases = [([], 334e-6, 363e-6), ([], 290e-6, None), (["material.name=copper-johnson-cook"], 334e-6, None),
+             (["particles.temperature=25 degC"], 334e-6, None)]
+    for settings, dense, expected in cases:
+        like = types.SimpleNamespace(scene=load_scene("section4", settings), diameters=np.full(5000, 20e-6))
+        assert paper_height(like, dense, notes) == expected, settings
+    assert len(notes) == 1
+    assert "334 µm of dense height; here it is 290 µm" in notes[0]
 
 
 def test_what_two_runs_do_not_share_is_shown_for_both(two_runs):

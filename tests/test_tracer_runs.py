@@ -153,8 +153,7 @@ def test_the_file_is_a_cloud_of_vertices(one_rank):
         assert root["Vertices/Connectivity"][...].tolist() == list(range(count))
         assert root["Polygons/Offsets"][...].tolist() == [0]
     assert np.bincount(cloud.particle)[~cloud.particles.cut].tolist() == [40] * int((~cloud.particles.cut).sum())
-    vtk = pytest.importorskip("vtk")
-    reader = vtk.vtkHDFReader()
+    reader = pytest.importorskip("vtkmodules.vtkIOHDF").vtkHDFReader()
     reader.SetFileName(str(path))
     reader.Update()
     assert reader.GetOutput().GetNumberOfVerts() == count

@@ -288,11 +288,11 @@ def test_sidecar_points_at_the_same_values(frames):
                 assert item.get("Dimensions") == " ".join(map(str, file[dataset].shape))
 
 
-def vtk_arrays(vtk, path: pathlib.Path, time: float | None = None) -> tuple:
+def vtk_arrays(hdf, path: pathlib.Path, time: float | None = None) -> tuple:
     """Read a file as ParaView does; return the image and its arrays [k, j, i]."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    reader = vtk.vtkHDFReader()
+    reader = hdf.vtkHDFReader()
     assert reader.CanReadFile(str(path))
     reader.SetFileName(str(path))
     reader.UpdateInformation()
@@ -321,16 +321,18 @@ def test_vtk_reads_frames_and_index(tmp_path, monkeypatch):
 
     Fails when ``_image_head`` gives the extent in z, y, x order, or ``_write_index`` the times in us.
     """
-    vtk = pytest.importorskip("vtk")
+    hdf = pytest.importorskip("vtkmodules.vtkIOHDF")
+    from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
+
     frames = runs.prepare_run_folder(tmp_path / "run") / "frames"
     for number in (0, 2, 5):
         write(frames, number)
     vtkhdf.update_index(frames)
-    _, image, arrays = vtk_arrays(vtk, frames / "frame_000002.vtkhdf")
+    _, image, arrays = vtk_arrays(hdf, frames / "frame_000002.vtkhdf")
     check_image(image, arrays, 2)
     monkeypatch.chdir(tmp_path)
     for number in (5, 0, 2):
-        reader, image, arrays = vtk_arrays(vtk, frames.parent / "deposit.vtkhdf", 1e-7 * (number + 1))
+        reader, image, arrays = vtk_arrays(hdf, frames.parent / "deposit.vtkhdf", 1e-7 * (number + 1))
         check_image(image, arrays, number)
-    times = reader.GetOutputInformation(0).Get(vtk.vtkStreamingDemandDrivenPipeline.TIME_STEPS())
+    times = reader.GetOutputInformation(0).Get(vtkStreamingDemandDrivenPipeline.TIME_STEPS())
     assert list(times) == [1e-7 * (n + 1) for n in (0, 2, 5)]

@@ -57,8 +57,12 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
                          help='replace one value of the scene, e.g. --set domain.cell_size="6 um"')
 
-    sub = command("scenes", "list the built-in scenes, or print one as TOML to edit")
-    sub.add_argument("name", nargs="?", metavar="NAME")
+    sub = command("scenes", "list the built-in scenes, print one as TOML to edit, or tell all keys of a scene")
+    sub.add_argument("name", nargs="?", metavar="NAME", help="print this scene")
+    sub.add_argument("--keys", nargs="?", const="", metavar="SECTION|KEY",
+                     help="print all keys of a scene, of one section, or one key: meaning, values, default")
+    sub = command("materials", "list the materials of the library, or print one as TOML to edit")
+    sub.add_argument("name", nargs="?", metavar="NAME", help="print the [material] section of this one")
     scene_arguments(command("check", "validate a scene and say what running it will take"))
     sub = command("plan", "predict time, memory and efficiency of a scene on any number of ranks")
     scene_arguments(sub)
@@ -77,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("resume", "continue a run from its newest valid checkpoint, on any number of ranks")
     sub.add_argument("folder", metavar="DIR")
     sub.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
-                     help="replace a value of the run or output section")
+                     help="replace a value of the run or output section, or cycles.count: more cycles, or fewer")
     sub = command("particles", "write the batches of a scene as CSV files")
     scene_arguments(sub)
     sub.add_argument("--out", metavar="DIR", required=True)
@@ -115,11 +119,25 @@ def _verify_arguments(sub: argparse.ArgumentParser) -> None:
 
 def _scenes(arguments: argparse.Namespace) -> int:
     from f2s_hpc import mpi
-    from f2s_hpc.config import load_scene, scene_names, scene_text
-    text = (scene_text(arguments.name) if arguments.name else
-            "".join(f"{name:20s} {load_scene(name).title}\n" for name in scene_names()))
+    from f2s_hpc.config import key_reference, load_scene, scene_names, scene_text
+    if arguments.keys is not None:
+        if arguments.name:
+            raise InputError("f2s scenes: a scene or --keys, one after the other, not both")
+        text = f"{key_reference(arguments.keys)}\n"
+    else:
+        text = (scene_text(arguments.name) if arguments.name else
+                "".join(f"{name:20s} {load_scene(name).title}\n" for name in scene_names()))
     if mpi.is_root():
         print(text, end="")
+    return 0
+
+
+def _materials(arguments: argparse.Namespace) -> int:
+    from f2s_hpc import mpi
+    from f2s_hpc.config import material_list, material_text
+    text = material_text(arguments.name) if arguments.name else material_list()
+    if mpi.is_root():
+        print(text)
     return 0
 
 
@@ -198,9 +216,10 @@ def _doctor(arguments: argparse.Namespace) -> int:
     return run_doctor(sys.stdout)
 
 
-_COMMANDS = {"scenes": _scenes, "check": _check, "plan": _plan, "run": _run, "resume": _resume,
-             "particles": _particles, "stream": _stream, "feed": _feed, "inspect": _inspect,
-             "analyse": measuring.analyse, "compare": measuring.compare, "report": measuring.report, "verify": _verify}
+_COMMANDS = {"scenes": _scenes, "materials": _materials, "check": _check, "plan": _plan, "run": _run,
+             "resume": _resume, "particles": _particles, "stream": _stream, "feed": _feed, "inspect": _inspect,
+             "analyse": measuring.analyse, "compare": measuring.compare, "report": measuring.report,
+             "export": measuring.export, "verify": _verify}
 
 
 def main(arguments: list[str]) -> int:

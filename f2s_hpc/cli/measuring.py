@@ -1,4 +1,4 @@
-"""Arguments of the commands that measure runs: analyse, compare, report."""
+"""Arguments of the commands that measure runs or hand them on: analyse, compare, report, export."""
 
 from __future__ import annotations
 
@@ -25,6 +25,26 @@ def add_commands(command) -> None:
     sub.add_argument("--exact", action="store_true",
                      help="field by field only; exit 0 only if every saved bit is equal")
     _settings_arguments(sub)
+    _export_arguments(command("export", "write a deposit as a mesh for other codes"))
+
+
+def _export_arguments(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folder", metavar="DIR", help="folder of a run")
+    sub.add_argument("--to", metavar="FILE", required=True,
+                     help="file to write; its ending says the format: .vtu, .vtk, .xdmf, .xmf, .msh (Gmsh), .med, "
+                          ".avs (UCD), .dat, .tec (Tecplot); cells only: .inp (Abaqus); triangles only: .stl, .ply, "
+                          ".obj, .off")
+    sub.add_argument("--cycle", type=int, metavar="N", help="export the end of cycle N (default: the last)")
+    sub.add_argument("--what", choices=("cells", "boundary", "surface"),
+                     help="landed cells as hexahedra with their fields; their outer faces as triangles; the height map "
+                          "as triangles (default: cells, or surface where the format holds triangles only)")
+    sub.add_argument("--unit", choices=("m", "mm", "um"), default="m",
+                     help="of lengths (default: m); stresses are in Pa with m, else in MPa")
+    sub.add_argument("--least-fraction", type=float, metavar="SHARE",
+                     help="leave out cells with a volume fraction below (default: 0.5)")
+    sub.add_argument("--no-substrate", action="store_true",
+                     help="leave out what lies below the top of the substrate at the start")
+    sub.add_argument("--open", action="store_true", help="the surface without sides and bottom")
 
 
 def _run_arguments(sub: argparse.ArgumentParser) -> None:
@@ -98,6 +118,15 @@ def report(arguments: argparse.Namespace) -> int:
     from f2s_hpc.report import commands
     return commands.report(arguments.folder, _settings(arguments), arguments.second, arguments.cycle,
                            arguments.experiment, arguments.out, not arguments.no_handover)
+
+
+def export(arguments: argparse.Namespace) -> int:
+    """Run ``f2s export``."""
+    from f2s_hpc.report.export import ExportSettings
+    from f2s_hpc.report.export import export as write
+    settings = ExportSettings(arguments.what, arguments.unit, arguments.least_fraction, not arguments.no_substrate,
+                              not arguments.open)
+    return write(arguments.folder, arguments.to, settings, arguments.cycle)
 
 
 def compare(arguments: argparse.Namespace) -> int:

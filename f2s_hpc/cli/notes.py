@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from f2s_hpc.analysis.depth import weighted_percentiles
@@ -16,8 +18,8 @@ ROUNDED = 0.01
 
 
 def scene_notes(scene: Scene, plan: BatchPlan) -> list[str]:
-    """Return a line on each: a box that whole cells change much, particles that the cells do not resolve."""
-    return [*_rounded_sides(scene), *_coarse_cells(scene, plan)]
+    """Return a line on each: a box that whole cells change much, coarse cells, mirrors that particles fly towards."""
+    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_slanted_flight(scene)]
 
 
 def _rounded_sides(scene: Scene) -> list[str]:
@@ -28,6 +30,18 @@ def _rounded_sides(scene: Scene) -> list[str]:
                          f"cells of {pretty(domain.cell_size, 'length')}; the box has {cells}, so it is "
                          f"{pretty(found, 'length')} there")
     return notes
+
+
+def _slanted_flight(scene: Scene) -> list[str]:
+    """Return a line where particles fly towards a mirror: what they would meet behind it comes from there instead."""
+    sides = [f"{axis}_{'low' if part < 0.0 else 'high'}" for axis, part in zip("xy", scene.particles.direction) if part]
+    mirrors = [side for side in sides if getattr(scene.domain.faces, side) in ("symmetry", "fixed")]
+    if not mirrors:
+        return []
+    lean = math.degrees(math.atan2(math.hypot(*scene.particles.direction[:2]), abs(scene.particles.direction[2])))
+    where = " and ".join(f'domain.faces.{side} = "{getattr(scene.domain.faces, side)}"' for side in mirrors)
+    return [(f"particles.direction: leans by {lean:.0f} degrees towards {where}; what reaches a mirror or a wall is "
+             "thrown back by it, so keep what lands away from there, or make the side \"free\"")]
 
 
 def _coarse_cells(scene: Scene, plan: BatchPlan) -> list[str]:

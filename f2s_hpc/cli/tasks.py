@@ -143,7 +143,7 @@ def _resume(folder: str, overrides: list[str]) -> int:
     plan, more = plan_of_cycles(own, saved, attributes)
     simulation = Simulation(scene, folder, plan)
     simulation.resume(path)
-    if kept is not None and kept != scene.cycles.count:
+    if plan is not None or kept not in (None, scene.cycles.count):
         own.write_other_cycles(plan)
     notes += more
     for name in checkpoint.set_aside_after(path):

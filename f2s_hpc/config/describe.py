@@ -51,6 +51,23 @@ def _view_line(scene: Scene) -> list[tuple[str, str]]:
     return [("view", f"{count:,} of {_grid(cells)} cells, {pretty_bytes(count * size)} in all, before compression")]
 
 
+def _archive(scene: Scene) -> str:
+    """Return how many checkpoints are kept for good; nothing where none is."""
+    every = scene.output.archive_every
+    return f" and {scene.cycles.count // every:,} for good" if every else ""
+
+
+def _dwell_line(scene: Scene) -> list[tuple[str, str]]:
+    """Return what happens between the cycles; nothing without a dwell."""
+    if scene.cycles.dwell is None:
+        return []
+    backing = scene.substrate.backing
+    sink = ("no heat leaves the box" if backing is None else
+            f"heat leaves through the bottom to {pretty(scene.substrate.temperature, 'temperature')}"
+            + (f" behind {pretty(backing, 'length')} more of substrate" if backing else ""))
+    return [("dwell", f"{pretty(scene.cycles.dwell, 'time')} of conduction alone between two cycles; {sink}")]
+
+
 def checkpoint_bytes(scene: Scene) -> int:
     """Return the size of one checkpoint: 8 bytes per cell or node and saved field."""
     cells = math.prod(scene.domain.cells)
@@ -133,14 +150,15 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("speed", _speed(scene)),
         ("cycles", f"{count_text(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
+        *_dwell_line(scene),
         ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "
                        f"{scene.material.longitudinal_sound_speed:.0f} m/s)")),
         ("steps", f"about {math.ceil(total / step):,}"),
         ("frames", (f"{frames:,} of {pretty_bytes(frame_bytes(scene))}, "
                     f"{pretty_bytes(frames * frame_bytes(scene))} in all, before compression")),
         *_view_line(scene),
-        ("checkpoints", f"the last {checkpoints} kept, {pretty_bytes(checkpoint_bytes(scene))} each"
-         if scene.output.checkpoints else "none"),
+        ("checkpoints", (f"the last {checkpoints} kept{_archive(scene)}, {pretty_bytes(checkpoint_bytes(scene))} each"
+                         if scene.output.checkpoints else "none")),
         *more,
         ("configuration", f"sha256 {scene_hash(scene)[:16]}"),
     ]

@@ -31,12 +31,15 @@ def _section(section: BaseModel, path: str) -> list[str]:
         if isinstance(value, BaseModel):
             tables += ["", *_section(value, f"{path}.{name}" if path else name)]
         elif value is not None:
-            lines.append(f"{name} = {_value(value, info.annotation, info.metadata)}")
+            lines.append(f"{name} = {toml_value(value, info.annotation, info.metadata)}")
     return lines + tables
 
 
-def _value(value: object, kind: object, metadata: typing.Iterable[object] = ()) -> str:
-    """Return one value as TOML; quantities with their unit."""
+def toml_value(value: object, kind: object, metadata: typing.Iterable[object] = ()) -> str:
+    """Return one value as TOML; quantities with their unit.
+
+    ``kind`` and ``metadata``: annotation and metadata of its field.
+    """
     if type(None) in typing.get_args(kind):  # (what may be absent and is not)
         kind = next(k for k in typing.get_args(kind) if k is not type(None))
     marks = [m for m in (*metadata, *getattr(kind, "__metadata__", ())) if isinstance(m, Unit)]
@@ -46,7 +49,7 @@ def _value(value: object, kind: object, metadata: typing.Iterable[object] = ()) 
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, tuple):
         kinds = [k for k in typing.get_args(kind) if k is not Ellipsis]
-        return "[" + ", ".join(_value(v, kinds[min(i, len(kinds) - 1)]) for i, v in enumerate(value)) + "]"
+        return "[" + ", ".join(toml_value(v, kinds[min(i, len(kinds) - 1)]) for i, v in enumerate(value)) + "]"
     if marks:
         return f'"{units.show(value, marks[0].dimension)}"'
     return repr(value)

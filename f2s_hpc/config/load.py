@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pydantic import ValidationError
 
 from f2s_hpc import places
-from f2s_hpc.config.messages import did_you_mean, one_line, origin
+from f2s_hpc.config.messages import did_you_mean, one_line, origin, which_material
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.config.sections import length_text
 from f2s_hpc.config.stream import KEY, take_stream
@@ -207,7 +207,7 @@ def _add_library_entry(raw: dict, source: str, keys: Sequence[str]) -> None:
         return
     if name not in library.names():
         raise InputError(f'{origin("material.name", source, keys)}: material.name = "{name}": no such material; '
-                         f'{did_you_mean(name, (*library.names(), CUSTOM))}')
+                         f'{which_material(name, (CUSTOM,))}')
     raw["material"] = _merged(library.entry(name), material)
 
 

@@ -22,6 +22,7 @@ from f2s_hpc.config.quantities import (
     Temperature,
     wrong,
 )
+from f2s_hpc.materials import library
 
 _NO_PART_IN_MODEL = "temperature at which nothing may start, K; the model itself does not use it"
 
@@ -108,7 +109,8 @@ Pressure = Annotated[LinearPressure | MieGrueneisenPressure, Field(discriminator
 class Material(Section):
     """The one material of particles and substrate (SI, kelvin)."""
 
-    name: str = Field(min_length=1, description='entry of the library that gives the defaults, or "custom"')
+    name: str = Field(min_length=1, description=(
+        f'entry of the library that gives what the scene does not ({", ".join(library.names())}), or "custom"'))
     density: Density = Field(description="density at zero pressure, kg/m3")
     young_modulus: ElasticModulus = Field(description="Young's modulus, Pa")
     poisson_ratio: Number = Field(ge=0, lt=0.5, description="Poisson's ratio")

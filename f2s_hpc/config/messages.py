@@ -14,6 +14,7 @@ from pydantic_core import ErrorDetails
 from f2s_hpc import units
 from f2s_hpc.config.quantities import Unit
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.materials import library
 
 Location = Sequence[str | int]
 
@@ -57,6 +58,13 @@ def did_you_mean(word: str, possible: Iterable[str]) -> str:
     return f'did you mean "{close[0]}"?' if close else f"possible: {', '.join(possible)}"
 
 
+def which_material(name: str, others: Iterable[str] = ()) -> str:
+    """Return what to say of a ``name`` that no material has: the closest one, and all there are (and ``others``)."""
+    listed = f"possible: {', '.join((*library.names(), *others))}"
+    hint = did_you_mean(name, (*library.names(), *others))
+    return f"{hint} {listed}" if hint != listed else listed
+
+
 def _walk(loc: Location) -> tuple[str, type[BaseModel] | None, FieldInfo | None]:
     """Return the dotted path of ``loc`` without union tags, the section it is in, and its field if known."""
     path, inside, owner, info = "", Scene, None, None
@@ -70,7 +78,7 @@ def _walk(loc: Location) -> tuple[str, type[BaseModel] | None, FieldInfo | None]
         else:
             path += f".{part}" if path else part
             owner, info = inside, inside.model_fields.get(part) if inside else None
-            inside = info.annotation if info and _is_section(info.annotation) else None
+            inside = info.annotation if info and is_section(info.annotation) else None
     return path, owner, info
 
 
@@ -78,7 +86,8 @@ def _path(loc: Location) -> str:
     return _walk(loc)[0]
 
 
-def _is_section(kind: object) -> bool:
+def is_section(kind: object) -> bool:
+    """Tell whether the type of a field is a section with keys of its own."""
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
@@ -87,7 +96,7 @@ def all_keys(section: type[BaseModel] = Scene, prefix: str = "") -> Iterable[str
     for name, info in section.model_fields.items():
         yield prefix + name
         for kind in (info.annotation, *typing.get_args(info.annotation)):
-            if _is_section(kind):
+            if is_section(kind):
                 yield from all_keys(kind, f"{prefix}{name}.")
 
 
@@ -102,12 +111,12 @@ def _guesses(loc: Location) -> list[str]:
     return [key for key in dict.fromkeys(all_keys()) if key.rpartition(".")[2] == word][:1]
 
 
-def _unit(kind: object, metadata: Iterable[object] = ()) -> Unit | None:
+def unit_of(kind: object, metadata: Iterable[object] = ()) -> Unit | None:
     """Return the unit mark of a field's type, looking into lists and options."""
     for mark in (*metadata, *getattr(kind, "__metadata__", ())):
         if isinstance(mark, Unit):
             return mark
-    return next((unit for unit in map(_unit, typing.get_args(kind)) if unit), None)
+    return next((unit for unit in map(unit_of, typing.get_args(kind)) if unit), None)
 
 
 def _missing(loc: Location, key: str) -> str:
@@ -115,7 +124,7 @@ def _missing(loc: Location, key: str) -> str:
     if isinstance(loc[-1], int):
         return f"{key} is missing: the list is too short"
     text = f"{key} is missing: {info.description}"
-    unit = _unit(info.annotation, info.metadata)
+    unit = unit_of(info.annotation, info.metadata)
     if unit is None:
         return text
     example = f'"{units.DIMENSIONS[unit.dimension].example}"'
@@ -126,7 +135,7 @@ def _missing(loc: Location, key: str) -> str:
 def _bound(loc: Location, bound: float) -> str:
     """Return a bound with its unit; behind one other than 0 a hint, as a wrong unit is what mostly leads there."""
     info = _walk(loc)[2]
-    unit = _unit(info.annotation, info.metadata) if info and bound else None
+    unit = unit_of(info.annotation, info.metadata) if info and bound else None
     return f"{units.pretty(bound, unit.dimension)}; is its unit right?" if unit else f"{bound:g}"
 
 

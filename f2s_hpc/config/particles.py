@@ -30,12 +30,14 @@ class Particles(Section):
     speed_per_diameter: SpeedPerDiameter | None = Field(
         default=None, description="growth of the speed with the diameter beyond speed_diameter, 1/s")
     speed_diameter: PositiveLength | None = Field(
-        default=None, description="diameter of the particles that speed and speed_curvature are meant for, m")
-    lateral_velocity: Velocity | None = Field(default=None, description="velocity along x on the jet's axis, m/s")
+        default=None, examples=["20 um"], description="diameter of the particles that speed and speed_curvature are meant for, m")
+    lateral_velocity: Velocity | None = Field(
+        default=None, examples=["2 m/s"], description="velocity along x on the jet's axis, m/s")
     lateral_slope: SpeedSlope | None = Field(
         default=None, description="growth of the velocity along x with x from the jet's axis; above 0: outwards, 1/s")
     lateral_curvature: SpeedCurvature | None = Field(
-        default=None, description="growth of the velocity along x with the squared distance from the axis, 1/(m s)")
+        default=None, examples=["0.4 m/s/mm2"],
+        description="growth of the velocity along x with the squared distance from the axis, 1/(m s)")
     direction: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, -1.0),
                                                      description="flight direction (x, y, z); normalised")
     temperature: Temperature = Field(description="initial temperature, K")

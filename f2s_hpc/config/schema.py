@@ -28,6 +28,7 @@ MOST_STEPS, FINE = 8, 5.4
 there PEEQ, temperatures and heights change by under 0.5 % against a remap after each step (measured: README)."""
 
 MOST_FRAMES = 1e6
+LONGEST_DWELL = 1e4  # s
 FASTEST_SOUND = 3e8  # m/s: that of light
 MOST_STEPS_OF_RUN = 1e12
 
@@ -140,6 +141,22 @@ def _check_repeats(scene: Scene) -> None:
                                                       'only "y" is possible')
 
 
+def _check_dwell(scene: Scene) -> None:
+    """Raise where a dwell or what lies below the box would have no effect."""
+    dwell, backing = scene.cycles.dwell, scene.substrate.backing
+    if dwell is not None and not scene.numerics.conduction:
+        raise wrong("cycles.dwell", "has no effect with numerics.conduction = false; leave one of them out")
+    if dwell is not None and scene.scheme == "standard":
+        raise wrong("cycles.dwell", "has no effect in the standard scheme, which has one cycle; leave it out")
+    if backing is not None and dwell is None:
+        raise wrong("substrate.backing", "has no effect without cycles.dwell; leave it out, or give the dwell")
+    if backing is not None and scene.domain.faces.z_low not in ("fixed", "absorbing"):
+        raise wrong("substrate.backing", f'lies below a side that is "{scene.domain.faces.z_low}"; it needs '
+                                         'domain.faces.z_low = "fixed" or "absorbing"')
+    if dwell is not None and not dwell <= LONGEST_DWELL:
+        raise wrong("cycles.dwell", f"must be at most {units.pretty(LONGEST_DWELL, 'time')}; is its unit right?")
+
+
 def _check_view(scene: Scene) -> None:
     """Raise if the view is not in the box, or has a place but no time."""
     view = scene.output.view
@@ -179,7 +196,8 @@ class Scene(Section):
     scheme: Literal["recurring", "standard"] = Field(
         default="recurring", description="one batch per cycle, or all batches at once in one tall box")
     domain: Domain = Field(description="the box")
-    material: Material = Field(description="the material of particles and substrate")
+    material: Material = Field(description=(
+        "the material of particles and substrate: that of the library by its name, but for what is written here"))
     substrate: Substrate = Field(default_factory=Substrate, description="the substrate at the start")
     particles: Particles = Field(description="the particles when painted")
     batches: Batches = Field(description="the spheres")
@@ -210,6 +228,9 @@ class Scene(Section):
         _check_temperatures(self)
         _check_speeds(self)
         _check_lateral(self)
+        _check_dwell(self)
+        if self.output.archive_every and not self.output.checkpoints:
+            raise wrong("output.archive_every", "has no effect with output.checkpoints = false; leave one of them out")
         _check_view(self)
         _check_steps(self)
         there = {field.name for field in self.needed_fields}

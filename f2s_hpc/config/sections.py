@@ -98,6 +98,10 @@ class Substrate(Section):
     """The substrate at the start."""
 
     temperature: Temperature = Field(default=298.15, description="initial temperature, K")
+    backing: LengthOrZero | None = Field(
+        default=None, description="thickness of the substrate below the box, m, through which heat leaves while the "
+                                  "deposit dwells, to a far side that keeps substrate.temperature; if not given, none "
+                                  "leaves")
 
 
 class Batches(Section):
@@ -178,6 +182,8 @@ class Cycles(Section):
     duration: Time = Field(description="duration of each cycle but the last, s")
     last_duration: Time = Field(default_factory=lambda data: data["duration"],
                                 description="duration of the last cycle, s; default: as the others")
+    dwell: Time | None = Field(default=None, description="time between the end of a cycle and the next batch, s, in "
+                                                         "which nothing moves and heat is conducted; none by default")
 
     @property
     def durations(self) -> tuple[float, ...]:
@@ -226,7 +232,9 @@ class Numerics(Section):
     absorbing_depth: PositiveLength = Field(
         default=0.5e-3, description="depth of the material that stands behind an absorbing side, m")
     conduction: Switch = Field(default=True, description="heat conduction")
-    remap_order: Literal[1, 2] = Field(default=2, description="order of the remap")
+    remap_order: Literal[1, 2] = Field(default=2, description=(
+        "reconstruction by the remap; 2: of what cells hold at third order with a limiter, of node velocities at fifth "
+        "order without one; 1: of both at first order"))
     largest_strain: Number = Field(default=0.5, gt=0, le=2, description="strain per step that a light cell may see")
     active_rows: Switch = Field(default=True, description="skip the rows without material; the results are the same")
     sleeping_depth: LengthOrZero = Field(default=0.0, description="depth below the surface from which on material at "
@@ -279,7 +287,8 @@ class Output(Section):
     """What is written while running."""
 
     fields: tuple[str, ...] = Field(default=("volume_fraction", "peeq", "temperature", "von_mises", "speed"),
-                                    min_length=1, description="fields of the frames")
+                                    min_length=1,
+                                    description=f"fields of the frames; there are {', '.join(SHOWN_FIELDS)}")
     frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
     frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
     view: View = Field(default_factory=View, description="a part of the box that is written more often")
@@ -292,8 +301,9 @@ class Output(Section):
     picture_each_cycle: Switch = Field(default=False, description="the picture is made anew after each cycle, to look "
                                                                   "at a run that goes on")
     origin: Switch = Field(default=False, description="follow which share of each cell came with the particles")
-    tracers: Whole = Field(default=0, ge=0, le=100000, description="material points that follow each particle, for its "
-                                                                   "exact shape and flattening; 0: none")
+    tracers: Whole = Field(
+        default=0, ge=0, le=100000, description="material points that follow each particle, for its exact shape and "
+                                                f"flattening, at least {LEAST_TRACERS}; 0: none")
 
     @field_validator("fields")
     @classmethod
@@ -316,6 +326,7 @@ class Output(Section):
 class Run(Section):
     """The run itself."""
 
-    wall_time: Time | None = Field(default=None, description="wall time after which the run stops with a checkpoint, s")
+    wall_time: Time | None = Field(default=None, examples=["90 min"],
+                                   description="wall time after which the run stops with a checkpoint, s")
     checkpoint_interval: Time = Field(
         default=1800.0, description="wall time after which a cycle that still runs gets a checkpoint within, s")

@@ -24,6 +24,11 @@ FORMAT = "f2s stream 1"
 KEY = "particles.stream"
 LAWS = ("diameter", "lateral")
 LAWS_KEY = "particles.stream_laws"
+MEANING = ("file that f2s stream --json has written; its fits give speed and speed_curvature, batches.distribution, "
+           "batches.jet_width and the diameters of batches; what the scene writes itself goes before")
+LAWS_MEANING = ("what else that file gives: speed_per_diameter with speed_diameter, and lateral_slope, which the paper "
+                "measures but leaves out of its simulations")
+"""What the keys give, for the reference of keys: they stand in no section of the schema, which has what they become."""
 
 
 def read_record(path: str | os.PathLike) -> dict:

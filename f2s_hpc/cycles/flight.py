@@ -33,7 +33,8 @@ SAME = 5e-3
 At 600 m/s that is 3 m/s, 1 um in the time of a cycle; what an impact has reached differs by far more.
 """
 
-NO_ROOM = "a particle meets material at the top of the box, where it does not fit in; make domain.size higher"
+NO_ROOM = ("a particle meets material at the top of the box, where it does not fit in; make domain.size higher, or "
+           "cycles.duration longer if batches follow each other before they have left the particle layer")
 
 
 class Flight:

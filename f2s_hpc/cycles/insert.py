@@ -43,16 +43,20 @@ class InsertReport:
     volume: float = 0.0
     positions: Batch | None = field(default=None, repr=False)
 
-    def message(self) -> str:
-        """Return one sentence for the log; empty when every sphere went where it was asked to."""
+    def message(self, last: bool = False) -> str:
+        """Return one sentence for the log; empty when every sphere went where it was asked to.
+
+        ``last``: no batch follows for which one could wait.
+        """
         parts = []
         if self.moved:
             parts.append(f"{count_text(self.moved, 'sphere')} moved by up to {self.largest_move * 1e6:.2f} um to clear "
                          "material still in the layer or other spheres")
         if self.deferred is not None and self.deferred.count:
-            verb = "waits" if self.deferred.count == 1 else "wait"
-            parts.append(f"{count_text(self.deferred.count, 'sphere')} found no free place and {verb} for the next "
-                         "batch")
+            one = self.deferred.count == 1
+            then = (f"{'is' if one else 'are'} left out, as no batch follows" if last else
+                    f"{'waits' if one else 'wait'} for the next batch")
+            parts.append(f"{count_text(self.deferred.count, 'sphere')} found no free place and {then}")
         return "; ".join(parts)
 
 

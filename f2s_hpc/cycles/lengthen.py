@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from f2s_hpc import mpi
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.cycles.output import RunFolder
+from f2s_hpc.cycles.output import BATCHES, RunFolder, batch_name
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.plan import BatchPlan, make_batches, plan_digest
 from f2s_hpc.units import count_text, pretty
+
+
+def _with_own_files(scene: Scene, folder: RunFolder) -> Scene:
+    """Return a scene whose batches come from files with the run folder's copies of them: others may be gone, or new."""
+    files = scene.batches.files
+    if not files:
+        return scene
+    own = tuple(str(folder.path / BATCHES / batch_name(number)) for number in range(1, len(files) + 1))
+    return scene.model_copy(update={"batches": scene.batches.model_copy(update={"files": own})})
 
 
 def plan_of_cycles(folder: RunFolder, saved: Scene, attributes: dict) -> tuple[BatchPlan | None, list[str]]:
@@ -32,10 +41,12 @@ def plan_of_cycles(folder: RunFolder, saved: Scene, attributes: dict) -> tuple[B
                          "first")
     plan = None
     if wanted > before:
-        old, plan = RunFolder(folder.path, saved).read_plan(), mpi.run_together(make_batches, scene)
+        old = RunFolder(folder.path, saved).read_plan()
+        plan = mpi.run_together(make_batches, _with_own_files(scene, folder))
         if plan_digest(plan, before) != plan_digest(old, before):
-            raise InputError(f"{asked}: the batches that the scene gives are not those of this run; CSV files must be "
-                             "as they were, and generated ones come of the same version of the code")
+            raise InputError(f"{asked}: the batches that the scene gives are not those of this run; those in "
+                             f"{folder.path / BATCHES} must be as they were, and generated ones come of the same "
+                             "version of the code")
     first, last = saved.cycles.duration, saved.cycles.durations[-1]
     if done < before or wanted < before or first == last:
         return plan, []

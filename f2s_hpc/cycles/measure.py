@@ -151,6 +151,13 @@ def material_quanta(state: State, model: Model) -> int:
     return sum(mpi.all_gather(mass_quanta(state.owned("mass"), model.mass_quantum)))
 
 
+def heat_quanta(state: State, model: Model) -> int:
+    """Return the sum of mass (full cells) times temperature (K) in quanta of ``model.mass_quantum``, over all ranks."""
+    own = sum(mass_quanta((mass * temperature)[None], model.mass_quantum)
+              for mass, temperature in zip(state.owned("mass"), state.owned("temperature")))
+    return sum(mpi.all_gather(own))
+
+
 def measure_material(state: State, model: Model, substrate_height: float, particle_speed: float) -> dict:
     """Return heights (m, above the substrate top), PEEQ and temperature percentiles of what has landed."""
     fraction, mass = state.owned("volume_fraction"), state.owned("mass")

@@ -41,6 +41,11 @@ BATCH_NAME = re.compile(r"batch-(\d+)\.csv")
 PICTURE_FIELDS = ("volume_fraction", "peeq", "temperature", "speed")
 
 
+def batch_name(number: int) -> str:
+    """Return the name of the file that holds batch ``number``, counted from 1."""
+    return f"batch-{number:03d}.csv"
+
+
 def _block(state: State, name: str, data: np.ndarray, on_nodes: bool) -> Block:
     box = state.part.box
     return Block(name, data, state.part.start[::-1], box.node_shape if on_nodes else box.shape)
@@ -84,7 +89,7 @@ class RunFolder:
         if plan is not None:
             folder = self.path / BATCHES
             folder.mkdir(exist_ok=True)
-            names = [f"batch-{number:03d}.csv" for number in range(1, len(plan.batches) + 1)]
+            names = [batch_name(number) for number in range(1, len(plan.batches) + 1)]
             for name, batch in zip(names, plan.batches):
                 write_csv(folder / name, batch)
             layout.write_text_file(folder / ORDER, json.dumps({"order": plan.order, "batches": names}) + "\n")
@@ -113,7 +118,7 @@ class RunFolder:
                                  f"{self.scene.cycles.count}")
             if max(order) >= len(names):
                 raise InputError(f"{folder}: holds {len(names)} batches, {ORDER} asks for {max(order) + 1}")
-            return BatchPlan([read_csv(folder / name) for name in names], order)
+            return BatchPlan([read_csv(folder / name, may_be_empty=True) for name in names], order)
 
         return layout.attempt_on_root(read, f"{self.path / BATCHES}: cannot be read", InputError)
 
@@ -165,7 +170,9 @@ class RunFolder:
         """Write every saved field, ``more`` and ``attributes``; keep the newest few."""
         blocks = [_block(state, name, state.owned(name), BY_NAME[name].location != CELL) for name in state.saved]
         folder = self.path / layout.CHECKPOINTS
-        path = checkpoint.write_checkpoint(folder, cycle, [*blocks, *more], attributes)
+        every = self.scene.output.archive_every
+        archived = bool(every) and cycle % every == 0 and not attributes["batch_is_in"]
+        path = checkpoint.write_checkpoint(folder, cycle, [*blocks, *more], attributes, archived)
         checkpoint.prune(folder, self.scene.output.keep_checkpoints, self.scene.output.archive_every)
         return path
 
@@ -255,7 +262,7 @@ def _read_order(folder: pathlib.Path) -> tuple[list[int], list[str]]:
         matches = [BATCH_NAME.fullmatch(path.name) for path in folder.iterdir()]
         found = {int(match[1]): match[0] for match in matches if match}
         last = max([*found, max(order) + 1])
-        names = [found.get(number, f"batch-{number:03d}.csv") for number in range(1, last + 1)]
+        names = [found.get(number, batch_name(number)) for number in range(1, last + 1)]
     if not isinstance(names, list) or not all(isinstance(name, str) and BATCH_NAME.fullmatch(name) for name in names):
         raise InputError(f'{place}: "batches" must be a list of files such as batch-001.csv')
     return order, names

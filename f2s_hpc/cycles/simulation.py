@@ -16,6 +16,7 @@ from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.finite import refuse_what_is_not_finite
 from f2s_hpc.cycles.insert import InsertReport, paint_substrate
 from f2s_hpc.cycles.output import BATCHES, RunFolder
+from f2s_hpc.cycles.pause import Pause
 from f2s_hpc.cycles.progress import Progress
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
@@ -58,6 +59,7 @@ class Simulation:
         self.cycle = 0
         self.batch_is_in = False
         self.supply = Supply(scene, self.plan, self.state, self.model, self.clock, self.ledger)
+        self.pause = Pause(scene, self.state, self.model, self.clock)
         self.tracers = Tracers(scene.output.tracers, self.state) if scene.output.tracers else None
         self.rows: list[dict] = []
         self.frame = 0
@@ -122,6 +124,7 @@ class Simulation:
         self.active_at_start_of_cycle = clock.active_cell_steps
         self.cycle, self.batch_is_in = saved["cycle"], saved["batch_is_in"]
         self.supply.restore(saved)
+        self.pause.restore(saved.get("pause"))
         self.rows, self.frame = saved["rows"], saved["frame"]
         self.spent |= saved.get("spent", {})
         self.view_frame = saved.get("view_frame", 0)
@@ -144,6 +147,7 @@ class Simulation:
             "batches": self._batches,
             "cycle": self.cycle, "batch_is_in": self.batch_is_in, **self.supply.attributes(),
             "tracers": None if self.tracers is None else self.tracers.attributes(),
+            "pause": self.pause.attributes(),
             "rows": self.rows, "frame": self.frame, "view_frame": self.view_frame,
             "spent": self._spent(),
             "substrate_quanta": str(self.substrate_quanta),
@@ -187,6 +191,8 @@ class Simulation:
         """Run one cycle to its end; False when a stop was asked for and a checkpoint was written."""
         duration = self.scene.cycles.durations[self.cycle]
         if not self.batch_is_in:
+            if self.cycle and self.scene.cycles.dwell is not None:
+                self.progress.say(self.pause.take(flight_speed(self.plan.batches, self.scene.top_speed), self.rows[-1]))
             self.insert()
         clock = self.clock
         follow = None if self.tracers is None else self._follow
@@ -315,7 +321,7 @@ class Simulation:
         clock, scene = self.clock, self.scene
         row = {
             "cycle": self.cycle + 1, "time_s": clock.time, "steps": clock.steps, "dt_s": clock.dt,
-            "dt_limit": clock.limit, **self.supply.row()}
+            "dt_limit": clock.limit, **self.supply.row(), **self.pause.row()}
         row |= measure.measure_material(self.state, self.model, scene.domain.substrate_height,
                                         flight_speed(self.plan.batches, scene.top_speed))
         row |= measure.measure_balance(self.state, self.model, self.ledger, self.substrate_quanta)

@@ -51,7 +51,7 @@ class Supply:
         report = paint_batch(self.state, self.model, batch, bottom, scene.particles.velocity,
                              scene.particles.temperature, self.ledger, scene.batches.seed * 1000003 + cycle)
         self.clock.limits.put_in(scene.top_speed, scene.domain.cell_size)
-        return report, report.message()
+        return report, report.message(last=cycle + 1 == scene.cycles.count)
 
     def _launch(self, batch: Batch) -> tuple[InsertReport, str]:
         """Let a batch fly towards the deposit; nothing is painted yet."""

@@ -34,12 +34,14 @@ from f2s_hpc.io.manifest import (
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
-def write_checkpoint(folder: str | os.PathLike, cycle: int, blocks: Sequence[Block], attributes: dict) -> pathlib.Path:
+def write_checkpoint(folder: str | os.PathLike, cycle: int, blocks: Sequence[Block], attributes: dict,
+                     archived: bool = False) -> pathlib.Path:
     """Write a checkpoint of ``blocks`` and ``attributes`` into ``folder``; return its path.
 
     ``attributes`` holds what JSON can hold (numpy numbers and arrays included); rank 0's are saved,
     floats and integers bit for bit. ``attributes["step"]`` (default 0) orders the checkpoints of one
-    cycle. An older checkpoint of the same cycle and step stays untouched beside the new one.
+    cycle. An older checkpoint of the same cycle and step stays untouched beside the new one. :func:`prune` never
+    deletes one that is ``archived``.
     Raises ``CheckpointError`` on all ranks, leaving no file, when anything fails.
     """
     folder = pathlib.Path(folder)
@@ -74,7 +76,7 @@ def write_checkpoint(folder: str | os.PathLike, cycle: int, blocks: Sequence[Blo
 
     def finish() -> None:
         layout.publish(partial, path)
-        write_manifest(path, blocks, expected, text)
+        write_manifest(path, blocks, expected, text, archived)
 
     attempt_on_root(finish, context, CheckpointError)
     return path
@@ -269,9 +271,9 @@ def _ends_of_cycles(paths: Sequence[pathlib.Path]) -> list[pathlib.Path]:
 def prune(folder: str | os.PathLike, keep: int, every: int = 0) -> list[str]:
     """Delete all but the ``keep`` newest complete checkpoints; return the names of those deleted.
 
-    The newest at the end of a cycle stays too, which analyses start from, and those of each ``every``-th cycle. Nothing
-    is deleted unless the newest one verifies. Also sweeps away what a crash left behind: unfinished files, and
-    checkpoints older than the kept ones that never got a manifest.
+    The newest at the end of a cycle stays too, which analyses start from, those of each ``every``-th cycle, and those
+    that were written to be kept. Nothing is deleted unless the newest one verifies. Also sweeps away what a crash left
+    behind: unfinished files, and checkpoints older than the kept ones that never got a manifest.
     """
     folder = pathlib.Path(folder)
     if keep < 1:
@@ -293,6 +295,7 @@ def prune(folder: str | os.PathLike, keep: int, every: int = 0) -> list[str]:
         oldest = layout.checkpoint_key(complete[-keep:][0].name)
         ends = _ends_of_cycles(complete)
         archive = {path for path in ends if every and layout.checkpoint_key(path.name)[0] % every == 0} | set(ends[-1:])
+        archive |= {path for path in complete if read_manifest(path).archived}
         doomed = [path for path in list_checkpoints(folder)
                   if layout.checkpoint_key(path.name) < oldest and path not in archive]
         for path in doomed:

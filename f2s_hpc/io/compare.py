@@ -114,8 +114,9 @@ def _numbers(value: object, path: str = "") -> Iterator[tuple[str, object]]:
     """Yield (dotted key, number) of every result in nested attributes; integers may be written as text."""
     if isinstance(value, dict):
         for key, entry in value.items():
-            if not NOT_A_RESULT_ATTRIBUTE.fullmatch(str(key)):
-                yield from _numbers(entry, f"{path}.{key}" if path else str(key))
+            dotted = f"{path}.{key}" if path else str(key)
+            if not any(NOT_A_RESULT_ATTRIBUTE.fullmatch(name) for name in (str(key), dotted)):
+                yield from _numbers(entry, dotted)
     elif isinstance(value, list):
         for number, entry in enumerate(value):
             yield from _numbers(entry, f"{path}[{number}]")

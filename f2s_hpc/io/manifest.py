@@ -45,6 +45,7 @@ class Manifest:
     attributes_sha256: str
     scene_hash: str | None
     code_version: str
+    archived: bool = False  # kept for good
 
 
 def mix(bits: np.ndarray) -> np.ndarray:
@@ -99,8 +100,12 @@ def manifest_path(checkpoint: pathlib.Path) -> pathlib.Path:
     return checkpoint.with_suffix(".json")
 
 
-def write_manifest(path: pathlib.Path, blocks: Sequence[Block], checksums: Sequence[str], attributes: str) -> None:
-    """Write the manifest of the finished checkpoint ``path``; ``attributes`` is its JSON text. Rank 0."""
+def write_manifest(path: pathlib.Path, blocks: Sequence[Block], checksums: Sequence[str], attributes: str,
+                   archived: bool = False) -> None:
+    """Write the manifest of the finished checkpoint ``path``; ``attributes`` is its JSON text. Rank 0.
+
+    ``archived``: the checkpoint shall be kept for good.
+    """
     cycle, step, _ = layout.checkpoint_key(path.name)
     values = json.loads(attributes)
     record = {
@@ -114,6 +119,7 @@ def write_manifest(path: pathlib.Path, blocks: Sequence[Block], checksums: Seque
         "attributes_sha256": text_digest(attributes),
         "scene_hash": values.get("scene_hash"),
         "code_version": values.get("code_version", f2s_hpc.__version__),
+        "archived": archived,
         "complete": True,
     }
     layout.write_text_file(manifest_path(path), layout.encode_json(record) + "\n")
@@ -141,7 +147,8 @@ def read_manifest(path: pathlib.Path) -> Manifest:
         fields = {name: FieldRecord(tuple(entry["shape"]), entry["checksum"])
                   for name, entry in record["fields"].items()}
         found = Manifest(path, record["cycle"], record["step"], record["size"], fields,
-                         record["attributes_sha256"], record["scene_hash"], record["code_version"])
+                         record["attributes_sha256"], record["scene_hash"], record["code_version"],
+                         record.get("archived") is True)
         name = record["file"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise CheckpointError(f"{place}: damaged manifest ({type(error).__name__}: {error})") from None

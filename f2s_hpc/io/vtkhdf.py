@@ -106,7 +106,8 @@ def update_index(folder: str | os.PathLike) -> list[str]:
     by all ranks, done by rank 0. Raises ``F2SError`` on all ranks when the files cannot be written.
     """
     folder = pathlib.Path(folder).absolute()
-    return attempt_on_root(lambda: _update_index(folder), f"cannot write the index of {folder}")
+    return attempt_on_root(lambda: _update_index(folder),
+                           f"cannot write {layout.SERIES[folder.name][0]} in {folder.parent}")
 
 
 def _update_index(folder: pathlib.Path) -> list[str]:

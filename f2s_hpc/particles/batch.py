@@ -24,6 +24,8 @@ from f2s_hpc.particles.sizes import SMALLEST
 COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
 LONGEST_QUOTE = 60  # characters of a bad value that a message shows: an unclosed quote swallows the rest of its file
+RINGING = 0.6
+"""A third of so much of the highest speed is what resting surfaces may ring with."""
 LAYER_TOLERANCE = 1e-9  # of the layer height: a sphere written as touching the layer's end does not cross it
 
 
@@ -113,12 +115,13 @@ def _split_rows(path: Path, lines: Sequence[str]) -> list[list[str]]:
     return rows
 
 
-def read_csv(path: str | os.PathLike) -> Batch:
+def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
     """Return the batch of a CSV file: first line ``x,y,z,r``, then one sphere per row, millimetres.
 
     The further columns ``vx,vy,vz`` (m/s) may give each sphere a velocity of its own.
     Row 1 is the first sphere; blank lines are skipped. Raises InputError, naming file and row, for a file that cannot
-    be read, a missing or unexpected column, something that is no finite number, r <= 0, or no sphere at all.
+    be read, a missing or unexpected column, something that is no finite number, r <= 0, or no sphere at all
+    unless it ``may_be_empty``.
     """
     path = Path(path)
     try:
@@ -143,7 +146,7 @@ def read_csv(path: str | os.PathLike) -> Batch:
         if spheres[number - 1, 3] <= 0.0:
             radius_text = row[header.index("r")].strip()
             raise InputError(f"{where}: r is {radius_text}, but a radius must be positive (millimetres)")
-    if not len(spheres):
+    if not len(spheres) and not may_be_empty:
         raise InputError(f"{path}: no sphere below the header; one row x,y,z,r per sphere is needed")
     places = (np.ascontiguousarray(column) for column in spheres[:, :4].T)
     return Batch(*places, np.ascontiguousarray(spheres[:, 4:]) if len(order) > 4 else None)
@@ -220,9 +223,11 @@ def flight_speed(batches: Sequence[Batch], top_speed: float) -> float:
     """Return the speed (m/s), a third of which tells material that has landed from what still flies.
 
     That of the fastest particle, but at most 1.4 times that of the slowest one that moves, which must not pass for
-    landed in its flight (half of the nodes around a cell on its surface are at rest). ``top_speed``: the highest of the
-    scene (m/s), which spheres without a velocity of their own have.
+    landed in its flight (half of the nodes around a cell on its surface are at rest). Surfaces that rest ring with a
+    fifth of the fastest one's speed, so that a third of less than ``RINGING`` of that tells nothing; slower particles
+    then count as landed where they touch what lies. ``top_speed``: the highest of the scene (m/s), which spheres
+    without a velocity of their own have.
     """
     speeds = [np.linalg.norm(batch.velocity, axis=1) for batch in batches if batch.velocity is not None]
     moving = [float(s[s > 0.0].min()) for s in speeds if (s > 0.0).any()]
-    return min(top_speed, 1.4 * min(moving, default=top_speed))
+    return max(min(top_speed, 1.4 * min(moving, default=top_speed)), RINGING * top_speed)

@@ -57,7 +57,7 @@ class SechProfile:
     def sample(self, count: int, low: float, high: float, generator: np.random.Generator) -> np.ndarray:
         """Return ``count`` positions (m) drawn from the part of the profile in ``low``..``high`` (m)."""
         if not self._angle(high) > self._angle(low):
-            raise InputError(f"lateral distribution: no particle flies between {1e3 * low:g} and {1e3 * high:g} mm; "
+            raise InputError(f"batches.jet_centre: no particle flies between {1e3 * low:g} and {1e3 * high:g} mm; "
                              f"the jet's axis is at {1e3 * self.centre:g} mm, its width {1e3 * self.width:g} mm")
         return self.quantile(generator.random(count), low, high)
 

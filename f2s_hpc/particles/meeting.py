@@ -15,6 +15,10 @@ LEAD = 18.0
 slowly would else be on the grid all the way down."""
 
 
+ODD, MOST_ODD = 4.0, 64
+"""A sphere whose drift against the others is so many times that of most is compared with each; so many at most."""
+
+
 def _first_time(p: np.ndarray, w: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Return when pairs at ``p`` + ``w`` t come as close as ``distance``: 0 if they are and close in, else infinity."""
     ww, pw, c = (w * w).sum(axis=1), (p * w).sum(axis=1), (p * p).sum(axis=1) - distance * distance
@@ -35,16 +39,33 @@ def waits(spheres: Batch, dx: float) -> np.ndarray:
     from scipy.spatial import cKDTree  # (20 MB on every rank, for jets only)
 
     places = np.stack([spheres.x, spheres.y, spheres.z], axis=1)
-    slowest = max(np.abs(v[:, 2]).min(), 1e-3)
-    flight_time = max(places[:, 2].max() / slowest, 0.0)
-    spread = np.linalg.norm(v - v.mean(axis=0), axis=1).max()
-    reach = 2.0 * REACH * dx
-    pairs = cKDTree(places).query_pairs(2.0 * (spheres.r.max() + spread * flight_time) + reach, output_type="ndarray")
-    a, b = pairs[:, 0], pairs[:, 1]
-    p, w, radii = places[b] - places[a], v[b] - v[a], spheres.r[a] + spheres.r[b]
-    touch, near = (_first_time(p, w, radii + gap) for gap in (dx, reach))
-    when = np.maximum(near, touch - LEAD * dx / np.linalg.norm(v[a], axis=1))
-    meets = touch < flight_time
-    for side in (a, b):
-        np.minimum.at(found, side[meets], np.maximum(when[meets], 0.0))
+    # down to the ground; what does not fly there is met on the way of the other
+    landing = np.maximum(places[:, 2], 0.0) / np.maximum(-v[:, 2], 1e-3)
+    spread, reach = np.linalg.norm(v - np.median(v, axis=0), axis=1), 2.0 * REACH * dx
+    odd = _odd_ones(spread * landing)
+    common = np.flatnonzero(~odd)
+    width = (spread[common] * landing[common]).max(initial=0.0)
+    near = cKDTree(places[common]).query_pairs(2.0 * (spheres.r.max() + width) + reach, output_type="ndarray")
+    pairs = [common[near]]
+    for one in np.flatnonzero(odd):
+        others = np.flatnonzero(~odd | (np.arange(spheres.count) > one))
+        pairs.append(np.sort(np.stack([np.full(others.size, one), others], axis=1), axis=1))
+    for a, b in (pair.T for pair in pairs):
+        p, w, radii = places[b] - places[a], v[b] - v[a], spheres.r[a] + spheres.r[b]
+        touch, close = (_first_time(p, w, radii + gap) for gap in (dx, reach))
+        speed = np.maximum(np.linalg.norm(v[a], axis=1), 1e-3)
+        when = np.maximum(np.maximum(close, touch - LEAD * dx / speed), 0.0)
+        meets = touch < np.minimum(landing[a], landing[b])
+        for side in (a, b):
+            np.minimum.at(found, side[meets], when[meets])
     return found
+
+
+def _odd_ones(drift: np.ndarray) -> np.ndarray:
+    """Return which spheres drift so far (m) against the others on their way that all could be in reach of them.
+
+    A few, that are looked at one by one: a single one at rest would else pair each sphere with each.
+    """
+    odd = drift > ODD * np.median(drift)
+    few = np.argsort(-drift, kind="stable")[:MOST_ODD]
+    return odd & np.isin(np.arange(drift.size), few)

@@ -19,6 +19,8 @@ from f2s_hpc.particles.sizes import RosinRammler
 MISFIT_WORTH_A_LINE = 0.01
 SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
 SIZE_TOLERANCE = 1e-9
+DRAWS = 100
+"""Tries for a batch of which some particle reaches into the box."""
 LEAST_SHARE = 1e-3
 """A sphere with its centre beyond the sides is left out where a smaller share of it than this lies inside."""
 
@@ -114,16 +116,24 @@ def _generate(scene, height: float, seeds: list[np.random.SeedSequence], message
     batches = []
     for index, seed in enumerate(seeds, start=1):
         generator = np.random.Generator(np.random.PCG64(seed))
-        diameters = sizes.sample_by_number(number, generator)
-        _refuse_crowd(wanted, diameters, box, index)
-        lateral = margin + jet.sample(number, 0.0 - margin, size_x + margin, generator) if jet else None
-        packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
-        if packed.placed == 0:
-            raise InputError(f"batches: no particle of batch {index} fits the layer; {packed.message()}")
+        for _ in range(DRAWS):
+            diameters = sizes.sample_by_number(number, generator)
+            _refuse_crowd(wanted, diameters, box, index)
+            lateral = margin + jet.sample(number, 0.0 - margin, size_x + margin, generator) if jet else None
+            packed = pack(diameters, box, wanted.gap_factor, generator, wanted.attempts, lateral)
+            if packed.placed == 0:
+                raise InputError(f"batches: no particle of batch {index} fits the layer; {packed.message()}")
+            batch = Batch(packed.x, packed.y, packed.z, packed.r)
+            if wanted.even_sides:
+                batch = _reaching_in(batch, margin, size_x, size_y)
+            if batch.count:  # (of very few, all may have come down beside the box)
+                break
+        else:
+            raise InputError(f"batches: no particle of batch {index} reaches into the box; ask for more with "
+                             "batches.particles, or leave batches.even_sides out")
         if packed.placed < packed.requested:
             messages.append(f"batch {index} of {wanted.count}: {packed.message()}")
-        batch = Batch(packed.x, packed.y, packed.z, packed.r)
-        batches.append(_reaching_in(batch, margin, size_x, size_y) if wanted.even_sides else batch)
+        batches.append(batch)
     return batches
 
 

@@ -25,7 +25,11 @@ MOST_SECTIONS = 100_000
 WELL_COVERED = 0.9
 """A smaller share of a profile's width in common with the other is worth a note."""
 
-_PAPER_PATCH, _PAPER_PARTICLES, _PAPER_SPEED = 0.35e-3, 5000, 615.0
+_PAPER_PATCH, _PAPER_PARTICLES, _PAPER_SPEED, _PAPER_TEMPERATURE = 0.35e-3, 5000, 615.0, 723.15
+_PAPER_MATERIAL, _PAPER_POWDER = "copper-ge", 334e-6
+"""The powder of the paper's deposit as a dense layer (m): five times that of the authors' batches 01 and 02."""
+SAME_POWDER = 0.05
+"""A deposit with more or less powder than that of the paper, by a larger share, has another height to have."""
 
 
 @dataclass(frozen=True)
@@ -107,11 +111,28 @@ def deposit_percentiles(found: Measurements, name: str) -> np.ndarray:
 
 
 def is_section4(deposit: Deposit) -> bool:
-    """Tell whether a run is section 4 of the paper, whatever its cell size: its patch, speed and 5000 particles."""
+    """Tell whether a run is section 4 of the paper, whatever its cells: patch, material, particles."""
     domain = deposit.scene.domain
+    particles = deposit.scene.particles
     return (all(abs(length - _PAPER_PATCH) < 0.5 * domain.cell_size for length in domain.size[:2])
-            and abs(deposit.scene.particles.speed - _PAPER_SPEED) < 1.0
+            and abs(particles.speed - _PAPER_SPEED) < 1.0
+            and abs(particles.temperature - _PAPER_TEMPERATURE) < 1.0
+            and deposit.scene.material.name == _PAPER_MATERIAL
             and deposit.diameters.size == _PAPER_PARTICLES)
+
+
+def paper_height(deposit: Deposit, dense: float, notes: list[str]) -> float | None:
+    """Return the paper's height (m) where it can be compared with; a note where only the powder is another.
+
+    ``dense``: dense-equivalent height of the deposit (m).
+    """
+    if not is_section4(deposit):
+        return None
+    if abs(dense / _PAPER_POWDER - 1.0) > SAME_POWDER:
+        notes.append(f"heights: not set beside the paper's, whose powder is {1e6 * _PAPER_POWDER:.0f} µm of dense "
+                     f"height; here it is {1e6 * dense:.0f} µm (batches.files takes the authors' own batches)")
+        return None
+    return PAPER_HEIGHT[deposit.scene.scheme]
 
 
 def half_track(scene: Scene, along: str = "y") -> bool:
@@ -181,7 +202,7 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
     flat, planes = _flattening(deposit, settings, notes)
     found = Measurements(
         deposit, settings, profile.heights(deposit.surface, dense, deposit.ground),
-        PAPER_HEIGHT[scene.scheme] if is_section4(deposit) else None, whole, profile.profile_size(whole),
+        paper_height(deposit, dense, notes), whole, profile.profile_size(whole),
         None, None, None, _porosity(deposit, settings, notes), _distributions(deposit, settings.layer),
         _distributions(deposit, deposit.fraction.shape[0] * deposit.dx), flat,
         {"equation_5": flattening.regression(flat.width, flat.equation_5),

@@ -64,7 +64,7 @@ def look(state: State, model: Model, sleep: Sleep, time: float, remaps: int, led
     s = model.settings
     if remaps % (EVERY if EVERY * s.steps_per_remap * s.courant <= MARGIN else 1):
         return
-    _conduct_asleep(state, model, sleep, time)
+    catch_up(state, model, sleep, time)
     floor = find_floor(state, model)
     if floor > state.floor:
         ledger.add("put_to_sleep", _stop(state, model, floor))
@@ -79,11 +79,12 @@ def wake_for(state: State, model: Model, sleep: Sleep, time: float, height: floa
     """
     floor = max(math.floor(height / model.dx) - MARGIN, 0)
     if floor < state.floor:
-        _conduct_asleep(state, model, sleep, time)
+        catch_up(state, model, sleep, time)
         state.set_floor(floor)
 
 
-def _conduct_asleep(state: State, model: Model, sleep: Sleep, time: float) -> None:
+def catch_up(state: State, model: Model, sleep: Sleep, time: float) -> None:
+    """Conduct heat in what sleeps up to ``time`` (s); collective."""
     if state.floor and model.settings.conduction and time > sleep.since:
         heat.conduct_asleep(state, model, time - sleep.since)
     sleep.since = time

@@ -1,0 +1,58 @@
+"""The pause between two cycles in which nothing moves and heat flows (``cycles.dwell``), and what is told of it."""
+
+from __future__ import annotations
+
+from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles import measure
+from f2s_hpc.solver import sleep
+from f2s_hpc.solver.dwell import dwell
+from f2s_hpc.solver.model import Model
+from f2s_hpc.solver.step import Clock
+from f2s_hpc.state import State
+from f2s_hpc.units import pretty
+
+
+class Pause:
+    """Lets the deposit of a scene dwell between its cycles, and remembers what that did. All methods are collective.
+
+    ``count``: dwells so far; ``heat_left``: what left through the bottom, in quanta of mass times kelvin;
+    ``temperature``: median of the deposit after the last one (degC). A scene without a dwell pauses nothing.
+    """
+
+    def __init__(self, scene: Scene, state: State, model: Model, clock: Clock) -> None:
+        self.scene, self.state, self.model, self.clock = scene, state, model, clock
+        self.count, self.heat_left, self.temperature = 0, 0, None
+
+    def take(self, particle_speed: float, last: dict) -> str:
+        """Dwell; return a sentence about it. ``last``: the row of the cycle before; ``particle_speed`` in m/s."""
+        scene, state, model = self.scene, self.state, self.model
+        sleep.catch_up(state, model, self.clock.sleep, self.clock.time)
+        before = measure.heat_quanta(state, model)
+        dwell(state, model, scene.cycles.dwell, scene.substrate.backing, scene.substrate.temperature)
+        self.count += 1
+        self.heat_left += before - measure.heat_quanta(state, model)
+        found = measure.measure_material(state, model, scene.domain.substrate_height, particle_speed)
+        state.release_work()
+        self.temperature = found["temperature_p50_degC"]
+        text = f"dwell of {pretty(scene.cycles.dwell, 'time')}"
+        if None in (self.temperature, last["temperature_p50_degC"]):
+            return f"{text}: no deposit yet"
+        return (f"{text}: the deposit's median temperature falls from {last['temperature_p50_degC']:.0f} to "
+                f"{self.temperature:.0f} degC")
+
+    def row(self) -> dict:
+        """Return its numbers for the cycle table; none in a scene without a dwell."""
+        if self.scene.cycles.dwell is None:
+            return {}
+        joule = self.model.mass_quantum * self.model.cell_mass * self.model.bulk.specific_heat
+        return {"dwell_s": self.count * self.scene.cycles.dwell, "dwell_heat_left_J": self.heat_left * joule,
+                "temperature_p50_after_dwell_degC": self.temperature}
+
+    def attributes(self) -> dict:
+        """Return what a checkpoint keeps of it."""
+        return {"count": self.count, "heat_left": str(self.heat_left), "temperature": self.temperature}
+
+    def restore(self, saved: dict | None) -> None:
+        """Take up what :meth:`attributes` returned; None of a checkpoint that is older than the dwell."""
+        if saved:
+            self.count, self.heat_left, self.temperature = saved["count"], int(saved["heat_left"]), saved["temperature"]

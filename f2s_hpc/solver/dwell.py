@@ -1,0 +1,124 @@
+"""The dwell between two cycles: the deposit stands still, and heat flows for as long as the spray gun stays away.
+
+A pass of the gun takes seconds to come back, conduction by explicit sub-steps 1e-8 s at a time. So heat is conducted in
+super steps of the Runge-Kutta-Legendre kind (RKL2: Meyer, Balsara and Aslam, J. Comput. Phys. 257 (2014) 594): s stages
+go as far as s^2 / 4 explicit steps, stable at any s, of second order, and heat is kept as the fluxes are the same. An
+implicit solution by Krylov's methods would need sums over all cells, whose bits hang on the number of ranks; here each
+cell sees its neighbours only.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from f2s_hpc import mpi
+from f2s_hpc.fields import VOLUME_FLUX
+from f2s_hpc.grid.pages import sparse_zeros
+from f2s_hpc.kernels import conduction
+from f2s_hpc.solver.heat import diffusivity
+from f2s_hpc.solver.model import Model
+from f2s_hpc.state import State
+
+LARGEST_NUMBER = 1.0 / 7.0
+"""Explicit limit of k dt / (rho c_p dx^2): six faces, of which the one to what is held can count twice."""
+
+GROWTH = 1.3
+"""Each super step is longer than the one before by this: fine differences have gone by then."""
+
+MOST_STAGES = 999
+
+NOTHING_CHANGES = 1e-3
+"""A dwell ends when at the present rate no cell would change by more than this (K) until its end."""
+
+
+def stage_count(number: float) -> int:
+    """Return the least odd number of stages that takes a super step of ``number`` = k tau / (rho c_p dx^2)."""
+    wanted = 0.5 * (math.sqrt(9.0 + 16.0 * number / LARGEST_NUMBER) - 1.0)
+    return max(3, 2 * math.ceil((wanted * (1.0 - 1e-12) - 1.0) / 2.0) + 1)
+
+
+def stage_weights(stages: int) -> list[tuple[float, float, float, float]]:
+    """Return (mu, nu, mu~, gamma~) of each stage of RKL2, the first included (its mu, nu and gamma~ are 1, 0 and 0)."""
+    def b(j: int) -> float:
+        return (j * j + j - 2.0) / (2.0 * j * (j + 1.0)) if j > 1 else 1.0 / 3.0
+
+    w = 4.0 / (stages * stages + stages - 2.0)
+    weights = [(1.0, 0.0, b(1) * w, 0.0)]
+    for j in range(2, stages + 1):
+        mu = (2.0 * j - 1.0) / j * b(j) / b(j - 1)
+        weights.append((mu, -(j - 1.0) / j * b(j) / b(j - 2), mu * w, -(1.0 - b(j - 1)) * mu * w))
+    return weights
+
+
+def dwell(state: State, model: Model, duration: float, backing: float | None, held_at: float) -> int:
+    """Conduct heat for ``duration`` (s), nothing else; return the number of stages taken. Collective.
+
+    ``backing``: thickness (m) of what lies below the box, whose far side is held at ``held_at`` (K) and which takes up
+    no heat itself; None: nothing flows through the bottom. What sleeps takes part. All ghosts are valid before and
+    after; the Mie-Grueneisen pressure follows by the internal energy.
+    """
+    state.update_activity()
+    work = _Work(state, model, backing, held_at)
+    left, number, taken = duration, 2.0 * LARGEST_NUMBER, 0
+    per_second = diffusivity(model) / model.dx**2
+    most = 0.25 * (MOST_STAGES**2 + MOST_STAGES - 2) * LARGEST_NUMBER
+    while left > 0.0:
+        step = min(number / per_second, left)
+        taken += work.super_step(step * per_second)
+        left -= step
+        if work.change() * left < NOTHING_CHANGES * step:
+            break
+        number = min(GROWTH * number, most)
+    state.exchange(tuple(n for n in ("temperature", "internal_energy") if n in state.views), asleep=True)
+    state.release_work()
+    return taken
+
+
+class _Work:
+    """Arrays and windows of a dwell, which live no longer than it."""
+
+    def __init__(self, state: State, model: Model, backing: float | None, held_at: float) -> None:
+        self.state, self.model, self.held_at = state, model, held_at
+        part = state.part
+        self.shape, self.window, (self.runs, self.count) = part.cell_shape[1:], state.owned_window(), state.all_runs
+        self.start, self.before = (sparse_zeros(part.cell_shape).reshape(-1) for _ in range(2))
+        self.first_gained = sparse_zeros(state.views[VOLUME_FLUX].shape).reshape(-1)
+        at_bottom = backing is not None and part.start[2] == 0
+        self.share = model.dx / (0.5 * model.dx + backing) if at_bottom else 0.0
+
+    @property
+    def _where(self) -> tuple:
+        return self.runs, self.count, self.window, self.shape
+
+    def _heat_gained(self, number: float, gained: np.ndarray) -> None:
+        """What each cell would gain in an explicit step of ``number``, however long, into ``gained`` (K)."""
+        mass, temperature = self.state.flat["mass"], self.state.flat["temperature"]
+        conduction.heat_gained(*self._where, number, (-1, 0.0, 1.0), mass, temperature, gained)
+        if self.share:
+            conduction.heat_through_bottom(*self._where, number, self.share, self.held_at, temperature, gained)
+
+    def super_step(self, number: float) -> int:
+        """Take a super step of ``number`` = k tau / (rho c_p dx^2); return its stages."""
+        state, gained = self.state, self.state.flat[VOLUME_FLUX]
+        temperature = state.flat["temperature"]
+        conduction.remember(self.runs, self.count, state.views["temperature"], self.start, self.before)
+        self._heat_gained(number, self.first_gained)
+        stages = stage_count(number)
+        for j, weights in enumerate(stage_weights(stages)):
+            if j:
+                state.exchange(("temperature",), layers=1, asleep=True)
+                self._heat_gained(number, gained)
+            conduction.super_stage(*self._where, weights, gained if j else self.first_gained, self.first_gained,
+                                   self.start, self.before, temperature)
+        state.exchange(("temperature",), layers=1, asleep=True)
+        if state.energy.size > 1:
+            conduction.add_energy_of_change(*self._where, self.model.bulk.specific_heat, self.start, temperature,
+                                            state.energy)
+        return stages
+
+    def change(self) -> float:
+        """Return the largest change of temperature (K) in the last super step, over all ranks."""
+        own = conduction.largest_change(*self._where, self.start, self.state.flat["temperature"])
+        return float(mpi.maximum(np.float64(own)))

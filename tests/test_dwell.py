@@ -1,0 +1,236 @@
+"""The dwell between two cycles: heat flows in long steps, and nothing else happens."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import f2s
+from solver_setup import ALL_SYMMETRY, cell_coordinates, make_block, make_model, make_setup
+from test_damaged import SCENE
+
+from f2s_hpc import mpi
+from f2s_hpc.cli.main import main
+from f2s_hpc.cycles import simulation
+from f2s_hpc.io import layout, runs
+from f2s_hpc.io.checkpoint import list_checkpoints
+from f2s_hpc.solver.dwell import LARGEST_NUMBER, dwell, stage_count, stage_weights
+from f2s_hpc.solver.heat import conduct, diffusivity
+
+DX = 3e-6
+MODEL = make_model(DX)
+RATE = diffusivity(MODEL) / DX**2  # explicit steps of number 1 per second
+
+LONG = SCENE + 'substrate = { backing = "100 um" }\noutput = { picture = false }\n'
+for old, new in (('"72 um"', '"112 um"'), ('"56 um"', '"96 um"'), ("count = 2", 'count = 3, dwell = "20 us"')):
+    LONG = LONG.replace(old, new)
+
+
+def heat(state) -> float:
+    """Return mass times temperature of all owned cells (full cells times K)."""
+    return float((state.owned("mass") * state.owned("temperature")).sum())
+
+
+@pytest.mark.parametrize("stages", [3, 5, 25, 301])
+def test_stages_are_consistent_and_damp_whatever_is_there(stages):
+    """A constant stays, exp(-z) is met to second order, and no z up to the limit grows.
+
+    Fails with any other mu, nu, mu~ or gamma~, or when ``stage_count`` promises more than (s^2 + s - 2) / 4.
+    """
+    def amplified(z: float) -> float:
+        before = now = 1.0
+        for mu, nu, mu_gained, first in stage_weights(stages):
+            before, now = now, mu * now + nu * before + (1.0 - mu - nu) - z * (mu_gained * now + first)
+        return now
+
+    assert amplified(0.0) == pytest.approx(1.0, abs=1e-12)
+    errors = [abs(amplified(z) - math.exp(-z)) for z in (0.02, 0.01)]
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(3.0, abs=0.1)
+    # an explicit step at its limit has z = 2
+    limit = 2.0 * (stages**2 + stages - 2) / 4.0
+    assert max(abs(amplified(z)) for z in np.linspace(0.1, limit, 2000)) <= 1.0
+    assert stage_count(LARGEST_NUMBER * limit / 2.0) == stages
+    assert stage_count(LARGEST_NUMBER * limit / 2.0 * 1.01) == stages + 2
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_cosine_decays_at_its_rate(axis):
+    """40 cells, to a third: 1200 explicit steps in a tenth of as many stages, 0.3 % off.
+
+    Fails if ghosts are not exchanged between the stages, or a super step takes the weights of another.
+    """
+    cells, size = 40, [3, 3, 3]
+    size[axis] = cells
+    setup = make_block(size, MODEL)
+    profile = 100.0 * np.cos(math.pi * cell_coordinates(setup.state)[axis] / cells)
+    setup.state.views["temperature"][...] = 500.0 + profile
+    duration = 1.0 / ((math.pi / cells) ** 2 * RATE)
+    taken = dwell(setup.state, MODEL, duration, None, 300.0)
+    assert taken < 0.25 * duration * RATE / LARGEST_NUMBER
+    expected = 500.0 + profile * math.exp(-2.0 * (1.0 - math.cos(math.pi / cells)) * duration * RATE)
+    found = setup.state.views["temperature"]
+    np.testing.assert_allclose((found - expected)[setup.state.part.owned_cells], 0.0, atol=0.1)
+
+
+def test_it_ends_where_many_explicit_steps_do(rng):
+    """Touching spheres at random temperatures, with slivers and void; heat is kept to round-off.
+
+    Fails if ``super_stage`` reads one cell further, or ``remember`` leaves rows out.
+    """
+    fields = []
+    for long in (False, True):
+        setup = make_setup((20, 14, 13), MODEL, [(6.1, 7.2, 6.4, 4.6), (14.6, 7.0, 6.2, 3.9)], sides=ALL_SYMMETRY)
+        state, generator = setup.state, np.random.default_rng(3)
+        random = generator.uniform(300.0, 1200.0, state.views["temperature"].shape)
+        state.views["temperature"][...] = np.where(state.views["mass"] > 0.0, random, 0.0)
+        state.exchange(("temperature",))
+        before = heat(state)
+        if long:
+            dwell(state, MODEL, 30.0 / RATE, None, 300.0)
+        else:
+            for _ in range(300):
+                conduct(state, MODEL, 0.1 / RATE)
+                state.exchange(("temperature",))
+        assert heat(state) == pytest.approx(before, rel=1e-12)
+        fields.append(state.owned("temperature").copy())
+    assert np.ptp(fields[0][fields[0] > 0.0]) > 5.0
+    np.testing.assert_allclose(fields[1], fields[0], atol=0.5)
+
+
+def test_it_ends_early_where_nothing_changes_any_more():
+    """A second of conduction in a block of 36 um. Fails if the end is only looked for at a fixed number of steps."""
+    setup = make_block((12, 4, 4), MODEL)
+    x, _, _ = cell_coordinates(setup.state)
+    setup.state.views["temperature"][...] = 500.0 + 100.0 * np.cos(math.pi * x / 12)
+    taken = dwell(setup.state, MODEL, 1.0, None, 300.0)
+    assert taken < 1e-3 * RATE
+    assert np.ptp(setup.state.owned("temperature")) < 1e-3
+    assert setup.state.owned("temperature").mean() == pytest.approx(500.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("backing", [0.0, 30e-6])
+def test_heat_leaves_through_the_bottom_as_through_a_wall(backing):
+    """A column of 20 cells on what is held at 300 K: the slowest mode of a wall that gives its heat away, q tan q = Bi.
+
+    Fails if ``heat_through_bottom`` takes the whole cell for half of it, or sees every plane as the lowest.
+    """
+    cells = 20
+    setup = make_block((3, 3, cells), MODEL)
+    state = setup.state
+    state.views["temperature"][...] = 800.0
+    length = cells * DX
+
+    def eigenvalue() -> float:
+        if backing == 0.0:
+            return 0.5 * math.pi
+        low, high = 1e-9, 0.5 * math.pi - 1e-9
+        for _ in range(200):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if middle * math.tan(middle) < length / backing else (low, middle)
+        return low
+
+    q = eigenvalue()
+    duration = 0.8 * length**2 / (q * q * diffusivity(MODEL))
+    before = heat(state)
+    dwell(state, MODEL, duration, backing, 300.0)
+    # series of a wall, of which the first term is left (Carslaw and Jaeger 1959, section 3.11)
+    first = 4.0 * math.sin(q) / (2.0 * q + math.sin(2.0 * q))
+    z = cell_coordinates(state)[2] * DX / length
+    expected = 300.0 + 500.0 * first * np.cos(q * (1.0 - z)) * math.exp(-0.8)
+    np.testing.assert_allclose((state.views["temperature"] - expected)[state.part.owned_cells], 0.0, atol=2.0)
+    assert heat(state) < 0.8 * before
+
+
+def test_thermal_pressure_follows():
+    """Mie-Grueneisen: energy is heat over mass before and after, in every cell; what sleeps takes part.
+
+    Fails without ``add_energy_of_change``, or with the runs of what is awake.
+    """
+    model = make_model(DX, "copper-piston", overrides=["material.conductivity=385 W/m/K"])
+    setup = make_block((4, 5, 9), model)
+    state, specific_heat = setup.state, model.bulk.specific_heat
+    state.owned("temperature")[:4] += 100.0
+    state.owned("internal_energy")[:4] = 100.0 * specific_heat
+    state.settle()
+    start = state.owned("temperature")[-1, 0, 0]
+    state.set_floor(6)
+    dwell(state, model, 40.0 * DX**2 / diffusivity(model), None, 300.0)
+    np.testing.assert_allclose(state.owned("internal_energy"), specific_heat * (state.owned("temperature") - start),
+                               atol=1e-6)
+    assert state.owned("temperature")[0].max() < start + 60.0
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return the folder of a run of three cycles with dwells, made once by all ranks together."""
+    folder = mpi.broadcast(tmp_path_factory.mktemp("dwell"))
+    if mpi.is_root():
+        (folder / "scene.toml").write_text(LONG, encoding="utf-8")
+    mpi.barrier()
+    assert main(["run", str(folder / "scene.toml"), "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+@pytest.mark.mpi
+def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared_path, monkeypatch, capsys):
+    """Twice in three cycles; stopped at the end of a cycle and within the next, it ends in the same bits.
+
+    Fails if a resumed run dwells anew in the middle of a cycle, not at all, or the first batch is waited for.
+    """
+    folder, advance = shared_path / "run", simulation.advance
+    scene = whole.parent / "scene.toml"
+    stops = iter([15e-9, 20e-9])
+    at = next(stops)
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        clock.stop = clock.time >= at * (1.0 - 1e-9)
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+    assert main(["run", str(scene), "--out", str(folder)]) == 75
+    at = next(stops)
+    assert main(["resume", str(folder)]) == 75
+    monkeypatch.setattr(simulation, "advance", advance)
+    capsys.readouterr()
+    assert main(["resume", str(folder)]) == 0
+    said = capsys.readouterr().out
+    ends = [list_checkpoints(place / layout.CHECKPOINTS)[-1] for place in (whole, folder)]
+    (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
+    assert all(np.array_equal(values, others[name]) for name, values in fields.items())
+    if not mpi.is_root():
+        return
+    assert said.count("dwell of 20 us: the deposit's median temperature falls from") == 1
+    rows = [runs.read_cycle_table(place) for place in (whole, folder)]
+    assert [float(row["dwell_s"]) for row in rows[0]] == pytest.approx([0.0, 20e-6, 40e-6])
+    for one, other in zip(*rows):
+        assert one["dwell_heat_left_J"] == other["dwell_heat_left_J"]
+    left = [float(row["dwell_heat_left_J"]) for row in rows[0]]
+    assert 0.0 == left[0] < left[1] < left[2]
+    assert float(rows[0][1]["temperature_p50_after_dwell_degC"]) < float(rows[0][0]["temperature_p50_degC"]) - 20.0
+
+
+@pytest.mark.mpi
+def test_the_bits_of_a_run_with_dwells_do_not_hang_on_its_ranks(whole, tmp_path_factory):
+    """The same scene on one rank. Fails if a sum over ranks decides when a dwell ends, or ghosts are late."""
+    alone = mpi.broadcast(tmp_path_factory.mktemp("alone"))
+    if mpi.is_root():
+        (alone / "scene.toml").write_text(LONG, encoding="utf-8")
+        f2s("run", "scene.toml", "--out", "run", cwd=alone)
+        ends = [list_checkpoints(place / layout.CHECKPOINTS)[-1] for place in (whole, alone / "run")]
+        (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
+        assert all(np.array_equal(values, others[name]) for name, values in fields.items())
+    mpi.barrier()
+
+
+@pytest.mark.parametrize(("settings", "says"), [
+    (["cycles.dwell=20 us", "numerics.conduction=false"], "has no effect with numerics.conduction = false"),
+    (["substrate.backing=3 mm"], "has no effect without cycles.dwell"),
+    (["cycles.dwell=20 us", "substrate.backing=3 mm", "domain.faces.z_low=symmetry"], 'a side that is "symmetry"'),
+    (["cycles.dwell=20 h"], "is its unit right?"),
+])
+def test_what_has_no_effect_is_refused(settings, says, tmp_path):
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    done = f2s("check", "scene.toml", *(part for text in settings for part in ("--set", text)), cwd=tmp_path, code=2)
+    assert says in done.stderr
+    assert len(done.stderr.splitlines()) == 1
