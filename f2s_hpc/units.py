@@ -44,6 +44,8 @@ DIMENSIONS: dict[str, Dimension] = {d.name: d for d in (
     Dimension("rate", (0, 0, -1, 0), "1e4 1/s", ("1/s",)),
     Dimension("inverse temperature", (0, 0, 0, -1), "0.0043 1/K", ("1/K",)),
     Dimension("speed curvature", (-1, 0, -1, 0), "-6 m/s/mm2", ("m/s/mm2",)),
+    Dimension("speed per diameter", (0, 0, -1, 0), "-0.6 m/s/um", ("m/s/um",)),
+    Dimension("speed slope", (0, 0, -1, 0), "1.5 m/s/mm", ("m/s/mm",)),
     Dimension("mass flow", (0, 1, -1, 0), "42.2 g/min", ("g/min",)),
     Dimension("volume", (3, 0, 0, 0), "0.04 mm3", ("mm3",)),
     Dimension("mass", (0, 1, 0, 0), "0.127 ug", ("kg", "g", "mg", "ug", "ng")),

@@ -44,7 +44,8 @@ def test_every_key_is_told_and_no_other(capsys):
     text = printed(capsys, "scenes", "--keys")
     assert not re.search(r", (m|s|m/s|K|1/K|1/s|Pa)(;|$)", text, re.MULTILINE), "any unit of the kind may be written"
     told = keys_of(text)
-    assert sorted({key for key, _ in told}) == sorted({*all_keys(), "particles.stream"} - set(SECTIONS))
+    taken = {"particles.stream", "particles.stream_laws"}
+    assert sorted({key for key, _ in told}) == sorted({*all_keys(), *taken} - set(SECTIONS))
     flow = [key.rpartition(".")[2] for key, _ in told if key.startswith("material.flow_stress.")]
     assert flow.count("melting_temperature") == 3, "one of each model that has it"
     assert flow.count("model") == 1
@@ -94,8 +95,10 @@ def test_a_key_has_meaning_values_and_default(capsys, key, words):
     ("elastic", '[material.flow_stress] model = "elastic"', []),
     ("temperature", "substrate.temperature", ["substrate.temperature", "particles.temperature"]),
     ("model", "material.flow_stress.model", ["material.flow_stress.model", "material.pressure.model"]),
-    ("particles", "[particles]", [f"particles.{key}" for key in ("speed", "speed_curvature", "direction", "temperature",
-                                                                 "flight", "stream")]),
+    ("particles", "[particles]",
+     [f"particles.{key}" for key in ("speed", "speed_curvature", "speed_per_diameter", "speed_diameter",
+                                     "lateral_velocity", "lateral_slope", "lateral_curvature", "direction",
+                                     "temperature", "flight", "stream", "stream_laws")]),
 ])
 def test_a_section_or_key_is_told_alone(capsys, name, first, keys):
     """Fails if more than what was asked for is printed, or a key named like a section (batches.particles) with it."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from f2s_hpc.analysis.canvas import save
 from f2s_hpc.particles.batch import Batch
+from f2s_hpc.particles.sizes import PERCENTILES
 from f2s_hpc.particles.stream import NumberFit, PolynomialFit, StreamFit
 
 _INK, _GREY, _POINT, _CURVE = "#1a1a1a", "#555555", "#7a9cc6", "#b3331d"
@@ -44,12 +45,20 @@ def format_stream(fit: StreamFit) -> str:
         rows += [("lateral velocity, all particles", "mean", f"{fit.lateral_mean:.4g}",
                   f"{fit.lateral_mean_error:.2g}", "m/s", "", ""),
                  ("", "std deviation", f"{fit.lateral_spread:.4g}", "", "m/s", "", "")]
-    low, high = measured.diameter.min(), measured.diameter.max()
+    sizes = fit.sizes
+    for share, (value, error) in zip(PERCENTILES, sizes.percentiles):
+        rows.append(("" if share > PERCENTILES[0] else "diameter, by volume", f"D{100 * share:.0f}",
+                     f"{1e6 * value:.2f}", f"{1e6 * error:.2g}", "um", "", ""))
+    rows += [("diameter, by number", "mean", f"{1e6 * sizes.mean[0]:.2f}", f"{1e6 * sizes.mean[1]:.2g}", "um", "", ""),
+             ("volume of a particle, by number", "mean", f"{1e18 * sizes.mean_volume[0]:.0f}",
+              f"{1e18 * sizes.mean_volume[1]:.2g}", "um3", "", "")]
+    low, high = sizes.smallest, sizes.largest
     at = ", ".join(f"{float(fit.size.at(d)):.1f} m/s at {1e6 * d:.1f} um" for d in (low, high))
     first = (f"{measured.name}: {measured.count} particles, diameters {1e6 * low:.1f} to {1e6 * high:.1f} um, "
              f"velocities {measured.velocity.min():.1f} to {measured.velocity.max():.1f} m/s")
     lines = [first, "", *_aligned(_HEAD, rows), "",
              f"velocity by the line over the diameter: {at}",
+             f"diameter and squared distance from the axis: correlation {fit.mixing:.3f} (at 0 both laws add)",
              "bands: 90 % prediction bands, half width in the middle of the range, of the number on the axis"
              + ("" if number.dispersion == 1.0 else
                 f"; counts scatter {number.dispersion:.2f} times as much as by chance alone (Poisson)")]

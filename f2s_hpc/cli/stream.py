@@ -20,15 +20,19 @@ def stream(arguments: argparse.Namespace) -> int:
     """Fit a measurement, print the fits, write JSON and picture; return the exit code. Done by rank 0."""
     def work() -> str:
         from f2s_hpc.analysis.stream import draw_stream, format_stream
-        from f2s_hpc.config.stream import scene_keys
+        from f2s_hpc.config.stream import LAWS, scene_keys
         from f2s_hpc.particles.measurement import read_measurement
         from f2s_hpc.particles.stream import as_record, fit_stream
         _test_places(arguments.json, arguments.out)
         fit = fit_stream(read_measurement(arguments.measurement))
         record = as_record(fit)
-        keys = [f'{section}.{name} = "{_short(text)}"' for section, table in
-                scene_keys(record, fit.measurement.name).items() for name, text in table.items()]
-        lines = [format_stream(fit), "for a scene, with its own axis: " + ", ".join(keys)]
+        laws = [law for law in LAWS if law != "lateral" or fit.lateral_signed]
+        keys = _written(scene_keys(record, fit.measurement.name))
+        more = [text for text in _written(scene_keys(record, fit.measurement.name, laws)) if text not in keys]
+        lines = [format_stream(fit), "for a scene, with its own axis: " + ", ".join(keys),
+                 "if asked for (particles.stream_laws): " + ", ".join(more)]
+        if fit.lateral is not None and not fit.lateral_signed:
+            lines.append("the lateral velocities have no sign, inwards or outwards: a scene takes none")
         if arguments.json:
             _write_json(arguments.json, record)
             lines.append(f'fits {arguments.json}; a scene takes them with particles.stream = "{arguments.json}"')
@@ -42,6 +46,11 @@ def stream(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _written(sections: dict[str, dict[str, str]]) -> list[str]:
+    return [f'{section}.{name} = "{_short(text)}"' for section, table in sections.items()
+            for name, text in table.items()]
+
+
 def _short(text: str) -> str:
     number, _, unit = text.partition(" ")
     return f"{float(number):.5g} {unit}" if unit else text
@@ -51,27 +60,45 @@ def feed(arguments: argparse.Namespace) -> int:
     """Print the particles on the strip at each scanning speed, beside table 4 of the paper; return the exit code."""
     def work() -> str:
         from f2s_hpc.particles.feed import Feed, count_particles
-        from f2s_hpc.particles.sizes import RosinRammler
         _test_places(arguments.json)
-        diameters = [_quantity(arguments, name, "length") for name, _, _ in DIAMETERS]
-        sizes = RosinRammler.fit(*diameters)
+        volume, note = _measured_volume(arguments) if arguments.stream else _powder_volume(arguments)
         powder = Feed(_quantity(arguments, "feed_rate", "mass flow"), _percent(arguments.share),
-                      _quantity(arguments, "path", "length"), _quantity(arguments, "density", "density"), sizes)
+                      _quantity(arguments, "path", "length"), _quantity(arguments, "density", "density"), volume)
         speeds = [_parsed("--scan-speed", text, "speed") for text in arguments.scan_speeds or DEFAULT_SPEEDS]
         counts = [count_particles(powder, speed, arguments.per_batch) for speed in speeds]
         if arguments.json:
             _write_json(arguments.json, {
                 "feed_rate_kg_s": powder.rate, "share": powder.share, "path_m": powder.path,
-                "density_kg_m3": powder.density, "mean_particle_volume_m3": sizes.mean_particle_volume(),
+                "density_kg_m3": powder.density, "mean_particle_volume_m3": volume,
                 "particles_per_batch": arguments.per_batch, "speeds": [dataclasses.asdict(c) for c in counts]})
-        return "\n".join([_feed_table(powder, counts, arguments.per_batch), "note: " + sizes.message(*diameters[:3])])
+        return "\n".join([_feed_table(powder, counts, arguments.per_batch), "note: " + note])
 
     _say(mpi.run_together(work))
     return 0
 
 
+def _powder_volume(arguments: argparse.Namespace) -> tuple[float, str]:
+    """Return the mean volume (m3) of a particle of the powder with the given diameters, and a note on it."""
+    from f2s_hpc.particles.sizes import RosinRammler
+    diameters = [_parsed(f"--{name}", getattr(arguments, name) or default, "length") for name, default, _ in DIAMETERS]
+    sizes = RosinRammler.fit(*diameters)
+    return sizes.mean_particle_volume(), sizes.message(*diameters[:3])
+
+
+def _measured_volume(arguments: argparse.Namespace) -> tuple[float, str]:
+    """Return the mean volume (m3) of a particle as it was measured in flight, and a note on it."""
+    from f2s_hpc.config.stream import mean_volume, read_record
+    for name, _, _ in DIAMETERS:
+        if getattr(arguments, name):
+            raise InputError(f"--{name} has no effect with --stream, whose file has the mean volume; leave one of them "
+                             "out")
+    volume, error = mean_volume(read_record(arguments.stream), arguments.stream)
+    return volume, (f"mean volume as measured ({arguments.stream}), +-{1e18 * error:,.0f} um3; batches with D10, D50, "
+                    "D90 of that file have what a Rosin-Rammler distribution through them has")
+
+
 def _feed_table(powder: Feed, counts: list[FeedCount], per_batch: int) -> str:
-    volume = powder.sizes.mean_particle_volume()
+    volume = powder.mean_volume
     diameter = math.cbrt(6.0 * volume / math.pi)
     head = ("scan speed", "time", "mass", "particles", "batches", "whole batches", "Table 4", "Table 4 row 1 as 1/V_s")
     rows = [(f"{1e3 * c.scan_speed:g} mm/s", units.pretty(c.time, "time"), units.pretty(c.mass, "mass"),

@@ -33,6 +33,8 @@ def feed(sub: argparse.ArgumentParser) -> None:
                      help="way of the nozzle during which the strip is under the jet (%(default)s)")
     sub.add_argument("--density", metavar="DENSITY", default="8960 kg/m3", help="of the powder (%(default)s)")
     for name, default, text in DIAMETERS:
-        sub.add_argument(f"--{name}", metavar="LENGTH", default=default, help=f"{text} (%(default)s)")
+        sub.add_argument(f"--{name}", metavar="LENGTH", help=f"{text} ({default})")
+    sub.add_argument("--stream", metavar="FILE", help="take the mean volume of a particle as measured, from what "
+                                                      '"f2s stream --json FILE" wrote, in the place of diameters')
     sub.add_argument("--per-batch", metavar="N", type=int, default=2559, help="particles in a batch (%(default)s)")
     sub.add_argument("--json", metavar="FILE", help="write the numbers as JSON")

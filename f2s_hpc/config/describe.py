@@ -115,7 +115,11 @@ def _spread(scene: Scene) -> str:
 
 def _speed(scene: Scene) -> str:
     low, high = scene.speed_range
-    return f"{pretty(high, 'speed')}" if low == high else f"{low:.1f} to {high:.1f} m/s over x, by the speed law"
+    law = " and ".join(name for name, there in (("x", scene.particles.speed_curvature),
+                                                ("diameter", scene.particles.speed_per_diameter)) if there)
+    text = pretty(high, "speed") if low == high else f"{low:.1f} to {high:.1f} m/s over {law}, by the speed law"
+    across = scene.top_lateral_velocity
+    return f"{text}; up to {pretty(across, 'speed')} along x" if across else text
 
 
 def _parts(cells_per_rank: Sequence[tuple[int, int, int]]) -> list[tuple[str, str]]:

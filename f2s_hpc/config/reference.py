@@ -144,6 +144,8 @@ def _parts(section: type[BaseModel], path: str, title: str, model: str = "") -> 
             keys.append(Key(place, _default(place, info), plain_description(info), _values(place, info, model)))
     if path == stream.KEY.rpartition(".")[0]:
         keys.append(Key(stream.KEY, LEFT_OUT, stream.MEANING, _PLAIN[str]))
+        laws = f"values in brackets, each {_one_of(stream.LAWS)}"
+        keys.append(Key(stream.LAWS_KEY, LEFT_OUT, stream.LAWS_MEANING, laws))
     yield Part(path, title, tuple(keys), model)
     yield from below
 

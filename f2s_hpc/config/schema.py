@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from f2s_hpc import fields, units
 from f2s_hpc.config.material import Material, MieGrueneisenPressure
+from f2s_hpc.config.particles import Particles
 from f2s_hpc.config.quantities import Section, wrong
 from f2s_hpc.config.sections import (
     Batches,
@@ -16,7 +17,6 @@ from f2s_hpc.config.sections import (
     Domain,
     Numerics,
     Output,
-    Particles,
     Run,
     Substrate,
     length_text,
@@ -96,12 +96,34 @@ def _check_speeds(scene: Scene) -> None:
     low, high = scene.speed_range
     if math.isnan(high):
         raise wrong("batches.jet_centre", "is too far from the box for numbers to tell; is its unit right?")
+    of_place = [scene.particles.speed_at(d, scene.particles.speed_diameter) for d in scene.distances]
+    by_size = min(of_place) > 0.0 and max(of_place) <= FASTEST
+    law = "particles.speed_per_diameter" if by_size else "particles.speed_curvature"
     if not high <= FASTEST:
-        key = "particles.speed" if scene.particles.speed > FASTEST else "particles.speed_curvature"
+        key = "particles.speed" if scene.particles.speed > FASTEST else law
         raise wrong(key, f"makes {high:.4g} m/s, more than {FASTEST:.0e} m/s; is its unit right?")
     if low <= 0.0:
-        raise wrong("particles.speed_curvature", f"turns the speed into {low:.4g} m/s at a side of the box; "
-                                                 "it must stay above 0 everywhere")
+        sizes = " and ".join(length_text(d) for d in scene.batches.diameter_range)
+        where = f"for a diameter between {sizes}" if by_size else "at a side of the box"
+        raise wrong(law, f"turns the speed into {low:.4g} m/s {where}; it must stay above 0 everywhere")
+
+
+def _check_lateral(scene: Scene) -> None:
+    """Raise if particles on a mirror would fly through it, or any as fast across the jet as along it."""
+    particles, batches = scene.particles, scene.batches
+    tolerance = 1e-3 * scene.domain.cell_size
+    for side, place in (("x_low", 0.0), ("x_high", scene.domain.size[0])):
+        mirror = getattr(scene.domain.faces, side) == "symmetry" and abs(batches.jet_centre - place) <= tolerance
+        if particles.lateral_velocity and mirror:
+            raise wrong("particles.lateral_velocity", f"must be 0 or left out: the jet's axis lies on the mirror at "
+                                                      f"domain.faces.{side}, along which a particle there flies")
+    most, low = scene.top_lateral_velocity, scene.speed_range[0]
+    if particles.lateral and not most < low:
+        far = max(map(abs, scene.distances))
+        shares = {"velocity": 1.0, "slope": far, "curvature": far * far}
+        key = max(shares, key=lambda name: shares[name] * abs(getattr(particles, f"lateral_{name}") or 0.0))
+        raise wrong(f"particles.lateral_{key}", f"makes {most:.4g} m/s across the jet, not less than the lowest speed "
+                                                f"along it ({low:.4g} m/s); is its unit right?")
 
 
 def _check_repeats(scene: Scene) -> None:
@@ -112,7 +134,7 @@ def _check_repeats(scene: Scene) -> None:
     if "xy" in how and size_x != size_y:
         raise wrong("batches.mirror_repeats", 'has "xy", which exchanges x and y, but domain.size is '
                                               f"{length_text(size_x)} by {length_text(size_y)}; leave it out")
-    if scene.batches.distribution == "sech" or scene.particles.speed_curvature != 0.0:
+    if scene.has_axis:
         for name in how:
             if "x" in name:
                 raise wrong("batches.mirror_repeats", f'has "{name}", which would move the jet, that runs along y; '
@@ -205,6 +227,7 @@ class Scene(Section):
         _check_sleep(self)
         _check_temperatures(self)
         _check_speeds(self)
+        _check_lateral(self)
         _check_dwell(self)
         if self.output.archive_every and not self.output.checkpoints:
             raise wrong("output.archive_every", "has no effect with output.checkpoints = false; leave one of them out")
@@ -217,16 +240,37 @@ class Scene(Section):
         return self
 
     @property
-    def speed_range(self) -> tuple[float, float]:
-        """Lowest and highest speed (m/s) that the speed law has in the box."""
+    def has_axis(self) -> bool:
+        """Is there a jet, whose axis over x matters?"""
+        return self.batches.distribution == "sech" or self.particles.by_place
+
+    @property
+    def distances(self) -> tuple[float, float, float]:
+        """Distances (m) along x from the jet's axis: of both sides of the box, and the smallest in it."""
         low, high = -self.batches.jet_centre, self.domain.size[0] - self.batches.jet_centre
-        speeds = [self.particles.speed_at(distance) for distance in (low, high, min(max(0.0, low), high))]
+        return low, high, min(max(0.0, low), high)
+
+    @property
+    def speed_range(self) -> tuple[float, float]:
+        """Lowest and highest speed (m/s) along the jet that the speed law has in the box, for all diameters."""
+        speeds = [self.particles.speed_at(distance, diameter)
+                  for distance in self.distances for diameter in self.batches.diameter_range]
         return min(speeds), max(speeds)
+
+    @property
+    def top_lateral_velocity(self) -> float:
+        """Largest size (m/s) of the lateral velocity in the box; 0 without."""
+        low, high, _ = self.distances
+        places, curvature = [low, high], self.particles.lateral_curvature
+        if curvature:  # where the parabola turns
+            places.append(min(max(-0.5 * (self.particles.lateral_slope or 0.0) / curvature, low), high))
+        return max(abs(self.particles.lateral_at(place)) for place in places) if self.particles.lateral else 0.0
 
     @property
     def top_speed(self) -> float:
         """Highest speed (m/s) of any particle: what the numerics' speed limits and the energies refer to."""
-        return self.speed_range[1]
+        across = self.top_lateral_velocity
+        return math.hypot(self.speed_range[1], across) if across else self.speed_range[1]
 
     @property
     def ballistic(self) -> bool:

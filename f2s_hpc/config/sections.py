@@ -16,8 +16,6 @@ from f2s_hpc.config.quantities import (
     Number,
     PositiveLength,
     Section,
-    Speed,
-    SpeedCurvature,
     Switch,
     Temperature,
     Time,
@@ -106,41 +104,6 @@ class Substrate(Section):
                                   "leaves")
 
 
-class Particles(Section):
-    """The particles at the moment they are painted."""
-
-    speed: Speed = Field(description="speed on the jet's axis, and anywhere without a curvature, m/s")
-    speed_curvature: SpeedCurvature = Field(
-        default=0.0, description="growth of the speed with the squared distance along x from the jet's axis, 1/(m s)")
-    direction: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, -1.0),
-                                                     description="flight direction (x, y, z); normalised")
-    temperature: Temperature = Field(description="initial temperature, K")
-    flight: Literal["ballistic", "eulerian"] = Field(
-        default="ballistic", description="until they meet something particles fly as analytic spheres, or painted onto "
-                                         "the grid from the start (always in the standard scheme)")
-
-    @field_validator("direction")
-    @classmethod
-    def _normalised(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
-        norm = math.hypot(*value)
-        if norm == 0.0:
-            raise ValueError("must not be the zero vector")
-        # a vector that is already normalised keeps its bits, so that a dumped scene loads back equal
-        return value if abs(norm - 1.0) < 1e-14 else tuple(v / norm for v in value)
-
-    @property
-    def velocity(self) -> tuple[float, float, float]:
-        """Velocity (x, y, z) on the jet's axis, m/s."""
-        return tuple(self.speed * d for d in self.direction)
-
-    def speed_at(self, distance):
-        """Return the speed (m/s) at ``distance`` (m, a number or an array) along x from the jet's axis.
-
-        speed + speed_curvature distance^2, as in figure 8b of Ge et al. 2026.
-        """
-        return self.speed + self.speed_curvature * (distance * distance)
-
-
 class Batches(Section):
     """The spheres: read from files, listed here, or generated from a seed."""
 
@@ -176,6 +139,14 @@ class Batches(Section):
     def median_diameter(self) -> float:
         """Diameter that stands for all particles, m: the median of listed spheres, else ``diameter_d50``."""
         return 2.0 * statistics.median(r for *_, r in self.spheres) if self.spheres else self.diameter_d50
+
+    @property
+    def diameter_range(self) -> tuple[float, float]:
+        """Smallest and largest diameter, m: of listed spheres, else what may be generated or read."""
+        if not self.spheres:
+            return self.diameter_min, self.diameter_max
+        radii = [r for *_, r in self.spheres]
+        return 2.0 * min(radii), 2.0 * max(radii)
 
     @property
     def source(self) -> Literal["files", "spheres", "generated"]:

@@ -5,7 +5,9 @@ nozzle feeds, so it receives
 
     N = feed_rate share path / (V_s density V_mean),
 
-V_mean the mean volume of a particle of the powder (:meth:`f2s_hpc.particles.sizes.RosinRammler.mean_particle_volume`).
+V_mean the mean volume of a particle, each counting once: of the powder
+(:meth:`f2s_hpc.particles.sizes.RosinRammler.mean_particle_volume`) or as measured
+(:class:`f2s_hpc.particles.sizes.MeasuredSizes`).
 Their 2.06 % and 7.3 mm agree with a mass balance: all powder lands, half of it on each side, so a half strip of width
 W = 0.3 mm along the track takes feed_rate W / (2 V_s), and share path = 0.150 mm = W / 2.
 """
@@ -16,7 +18,6 @@ import math
 from dataclasses import dataclass
 
 from f2s_hpc.errors import InputError
-from f2s_hpc.particles.sizes import RosinRammler
 
 TABLE_4 = {0.160: 10236, 0.120: 15354, 0.080: 20472}
 """Scanning speed (m/s): particles, table 4 of Ge et al. 2026."""
@@ -30,19 +31,21 @@ class Feed:
     """What leaves the nozzle and which part of it the strip takes.
 
     ``rate`` (kg/s), ``share`` (0..1) on the strip, ``path`` (m) over which the strip is under the jet, ``density``
-    (kg/m3) and ``sizes`` of the powder. Raises InputError unless all are positive and share is at most 1.
+    (kg/m3) of the powder, ``mean_volume`` (m3) of a particle. Raises InputError unless all are positive and share is at
+    most 1.
     """
 
     rate: float
     share: float
     path: float
     density: float
-    sizes: RosinRammler
+    mean_volume: float
 
     def __post_init__(self) -> None:
         if not 0.0 < self.share <= 1.0:
             raise InputError(f"feed: a share of {100 * self.share:g} % on the strip; above 0 to 100 % is possible")
-        for name, value in (("rate", self.rate), ("path", self.path), ("density", self.density)):
+        for name, value in (("rate", self.rate), ("path", self.path), ("density", self.density),
+                            ("mean volume of a particle", self.mean_volume)):
             if not value > 0.0:
                 raise InputError(f"feed: the {name} must be positive")
 
@@ -78,7 +81,7 @@ def count_particles(feed: Feed, scan_speed: float, per_batch: int = PARTICLES_PE
         raise InputError(f"feed: {1e3 * scan_speed:g} mm/s and {per_batch} particles per batch; both must be positive")
     time = feed.path / scan_speed
     mass = feed.rate * feed.share * time
-    each = feed.density * feed.sizes.mean_particle_volume()
+    each = feed.density * feed.mean_volume
     particles = mass / each if each > 0.0 else math.inf
     if not particles <= MOST_PARTICLES:
         raise InputError(f"feed: {particles:.3g} particles at {1e3 * scan_speed:g} mm/s, {MOST_PARTICLES:,} are "

@@ -18,6 +18,7 @@ from f2s_hpc.particles.sizes import RosinRammler
 
 MISFIT_WORTH_A_LINE = 0.01
 SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
+SIZE_TOLERANCE = 1e-9
 DRAWS = 100
 """Tries for a batch of which some particle reaches into the box."""
 LEAST_SHARE = 1e-3
@@ -186,22 +187,51 @@ def with_images(batches: list[Batch], order: list[int], how: Sequence[str], size
 # --- velocities -------------------------------------------------------------------------------------------------
 
 
-def _speed_law(scene, batch: Batch) -> Batch:
-    """Return the batch with each sphere's velocity: its own, or the scene's speed law at its x (figure 8b, 10c)."""
+def _by_laws(scene, batch: Batch) -> Batch:
+    """Return the batch with each sphere's velocity: its own, or that of the scene's laws at its x and diameter.
+
+    Figures 8b to d and 10c of Ge et al. 2026. What a mirror over x cuts stands for a particle in that plane, whose
+    other half is the image: by symmetry it has no velocity across.
+    """
     if batch.velocity is not None:
         return batch
-    x = np.clip(batch.x, 0.0, float(scene.domain.size[0]))  # a centre outside the box flies like its wall
-    speed = scene.particles.speed_at(x - scene.batches.jet_centre)
-    velocity = speed[:, None] * np.array(scene.particles.direction)
+    particles, width = scene.particles, float(scene.domain.size[0])
+    distance = np.clip(batch.x, 0.0, width) - scene.batches.jet_centre  # a centre outside the box flies like its wall
+    velocity = particles.speed_at(distance, 2.0 * batch.r)[:, None] * np.array(particles.direction)
+    if particles.lateral:
+        faces = scene.domain.faces
+        cut = (batch.x < batch.r) & (faces.x_low == "symmetry")
+        cut |= (batch.x > width - batch.r) & (faces.x_high == "symmetry")
+        velocity[:, 0] = np.where(cut, 0.0, particles.lateral_at(distance))  # (direction has no x then)
     return dataclasses.replace(batch, velocity=velocity)
 
 
+def _check_laws(scene, batches: list[Batch]) -> None:
+    """Raise where no sphere flies by the laws, or a file's is of a size that these were not checked for."""
+    if all(batch.velocity is not None for batch in batches):
+        key = "speed_per_diameter" if scene.particles.speed_per_diameter else scene.particles.lateral[0]
+        raise InputError(f"particles.{key} has no effect where all batches.files give velocities; leave it out")
+    if not scene.particles.speed_per_diameter:
+        return
+    low, high = scene.batches.diameter_range
+    for name, batch in zip(scene.batches.files, batches):
+        wrong = (2.0 * batch.r < low * (1.0 - SIZE_TOLERANCE)) | (2.0 * batch.r > high * (1.0 + SIZE_TOLERANCE))
+        if batch.velocity is None and wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(f"{name}: row {row + 1}: a diameter of {2e3 * batch.r[row]:g} mm, for which "
+                             "particles.speed_per_diameter was not checked; let batches.diameter_min and diameter_max "
+                             f"({1e3 * low:g} and {1e3 * high:g} mm) hold it")
+
+
 def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[Batch]:
-    """Give all spheres velocities of their own if any has one, or the speed depends on the place; check the highest."""
+    """Give all spheres velocities of their own if any has one, or the laws differ by place or size; check the highest.
+    """
     own = [batch.velocity is not None for batch in batches]
-    if not any(own) and scene.particles.speed_curvature == 0.0:
+    if not any(own) and not scene.particles.by_place and not scene.particles.speed_per_diameter:
         _warn_of_departure(scene, np.array(scene.particles.velocity[2:]), messages)
         return batches
+    if scene.particles.speed_per_diameter or scene.particles.lateral:
+        _check_laws(scene, batches)
     limit = scene.top_speed
     for name, batch in zip(scene.batches.files, batches):  # (their mirror images are as fast)
         if batch.velocity is not None:
@@ -212,10 +242,12 @@ def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[B
                 raise InputError(f"{name}: row {row + 1}: {speeds[row]:.6g} m/s is above the highest speed of "
                                  f"the scene, {limit:.6g} m/s; raise particles.speed, to which the limits of the "
                                  "numerics refer")
-    batches = [_speed_law(scene, batch) for batch in batches]
+    batches = [_by_laws(scene, batch) for batch in batches]
     _warn_of_departure(scene, np.concatenate([batch.velocity[:, 2] for batch in batches]), messages)
     speeds = np.concatenate([np.linalg.norm(batch.velocity, axis=1) for batch in batches])
-    messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean")
+    across = np.concatenate([batch.velocity[:, 0] for batch in batches])
+    messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean"
+                    + (f"; {across.min():.1f} to {across.max():.1f} m/s along x" if scene.particles.lateral else ""))
     return batches
 
 
@@ -237,7 +269,7 @@ def make_batches(scene) -> BatchPlan:
     scheme would spray (so fewer files than layers repeat), and becomes one batch for the one cycle. Explicit
     spheres are one batch. Batches are generated for the footprint as written in the scene, so they do not
     depend on the cell size. With ``batches.mirror_repeats`` a batch that comes again is mirrored (:func:`with_images`).
-    Where files give velocities, or the speed depends on the place, every sphere has its own.
+    Where files give velocities, or the velocity depends on place or diameter, every sphere has its own.
     Raises InputError for unreadable files, spheres outside the layer or too fast, or nothing to place.
     """
     wanted, height = scene.batches, float(scene.domain.particle_layer_height)

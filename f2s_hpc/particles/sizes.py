@@ -1,4 +1,4 @@
-"""Particle sizes: a Rosin-Rammler volume distribution, truncated to the sieved range of the powder.
+"""Particle sizes: a Rosin-Rammler volume distribution, truncated to the sieved range of the powder, and measured ones.
 
 Untruncated, the volume share of particles below diameter d is 1 - exp(-(d / scale)^exponent). A
 powder sheet gives three percentiles for two parameters, so they are met in the least-squares sense.
@@ -21,6 +21,43 @@ FLAT = 7.0
 """How much farther the logarithm of the scale may go where the first range was too small."""
 SMALLEST, WIDEST = 1e-12, 1e6
 """Least diameter (m), and the largest over it: the widest range to the largest exponent tried is still a number."""
+
+
+@dataclass(frozen=True)
+class MeasuredSizes:
+    """Diameters of particles measured one by one; of each number its value and its standard error.
+
+    ``percentiles``: three pairs, D10, D50 and D90 by volume (m); ``mean``: diameter (m) and ``mean_volume`` (m3), each
+    particle counting once; ``smallest``, ``largest`` (m).
+    """
+
+    percentiles: tuple[tuple[float, float], ...]
+    mean: tuple[float, float]
+    mean_volume: tuple[float, float]
+    smallest: float
+    largest: float
+
+    @classmethod
+    def of(cls, diameter: np.ndarray) -> MeasuredSizes:
+        """Return what the measured ``diameter`` (m, (count,), two at least) say.
+
+        A percentile is read off the line through (cumulative volume less half the particle's own, diameter). Its error
+        is that of Woodruff (1952): half the way between the percentiles at q - s and q + s, with s that of the
+        volume share below it, s^2 = sum of v^2 (1 below or 0 above - q)^2 over the squared sum of v.
+        """
+        d = np.sort(diameter)
+        share = (d / d[-1]) ** 3
+        share /= share.sum()
+        below = np.cumsum(share) - 0.5 * share
+        percentiles = []
+        for q in PERCENTILES:
+            value = float(np.interp(q, below, d))
+            s = np.sqrt(np.square(share * ((d <= value) - q)).sum())
+            low, high = np.interp((q - s, q + s), below, d)
+            percentiles.append((value, 0.5 * float(high - low)))
+        volume = np.pi / 6.0 * d**3
+        mean, mean_volume = ((float(v.mean()), float(v.std(ddof=1) / np.sqrt(v.size))) for v in (d, volume))
+        return cls(tuple(percentiles), mean, mean_volume, float(d[0]), float(d[-1]))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Fits to particles measured in flight: the four panels of figure 8 of Ge et al. 2026 (section 5.1), as numbers.
+"""Fits to particles measured in flight: the four panels of figure 8 of Ge et al. 2026 (section 5.1), as numbers; sizes.
 
 Number over lateral position is a sech, velocity over lateral position and lateral velocity over it are quadratic,
 velocity over diameter is linear. Each fit states its coefficients with standard errors, R2, the spread about the curve
@@ -24,6 +24,7 @@ from f2s_hpc.config.stream import FORMAT
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.lateral import SechProfile, gudermannian
 from f2s_hpc.particles.measurement import Measurement
+from f2s_hpc.particles.sizes import PERCENTILES, MeasuredSizes
 
 CONFIDENCE = 0.90
 LEAST_BINS, MOST_BINS = 8, 60
@@ -131,7 +132,8 @@ class StreamFit:
     ``number``: over lateral position; ``speed``: velocity (m/s) over the distance from the axis (m), quadratic;
     ``size``: velocity over diameter (m), linear; ``lateral``: lateral velocity over the distance from the axis,
     quadratic; ``lateral_mean``, ``lateral_spread`` (m/s): its mean and standard deviation over all particles, and
-    ``lateral_mean_error`` the standard error of that mean.
+    ``lateral_mean_error`` the standard error of that mean. ``sizes``: the diameters; ``mixing``: their correlation with
+    the squared distance from the axis: where it is 0 the laws over place and over diameter add.
     """
 
     measurement: Measurement
@@ -142,6 +144,13 @@ class StreamFit:
     lateral_mean: float | None
     lateral_mean_error: float | None
     lateral_spread: float | None
+    sizes: MeasuredSizes
+    mixing: float
+
+    @property
+    def lateral_signed(self) -> bool:
+        """Was the lateral velocity measured with its sign, so that it tells inwards from outwards?"""
+        return self.lateral is not None and bool((self.measurement.lateral_velocity < 0.0).any())
 
 
 def _powers(x: ArrayLike, scale: float, terms: int) -> np.ndarray:
@@ -276,13 +285,15 @@ def fit_stream(measurement: Measurement) -> StreamFit:
     distance = measurement.lateral_position - number.centre
     speed = fit_polynomial(distance, measurement.velocity, 2, f"{name}: lateral position")
     size = fit_polynomial(measurement.diameter, measurement.velocity, 1, f"{name}: diameter")
+    sizes = MeasuredSizes.of(measurement.diameter)
+    mixing = float(np.corrcoef(measurement.diameter, distance**2)[0, 1])
     drift = measurement.lateral_velocity
     if drift is None:
-        return StreamFit(measurement, number, speed, size, None, None, None, None)
+        return StreamFit(measurement, number, speed, size, None, None, None, None, sizes, mixing)
     spread = float(drift.std(ddof=1))
     return StreamFit(measurement, number, speed, size,
                      fit_polynomial(distance, drift, 2, f"{name}: lateral position"),
-                     float(drift.mean()), spread / np.sqrt(drift.size), spread)
+                     float(drift.mean()), spread / np.sqrt(drift.size), spread, sizes, mixing)
 
 
 def _polynomial_record(fit: PolynomialFit, names: Sequence[str]) -> dict:
@@ -292,15 +303,25 @@ def _polynomial_record(fit: PolynomialFit, names: Sequence[str]) -> dict:
         fit.band(0.5 * sum(fit.x_range)))}
 
 
+def _sizes_record(fit: StreamFit) -> dict:
+    sizes = fit.sizes
+    pairs = {f"d{100 * share:.0f}_m": pair for share, pair in zip(PERCENTILES, sizes.percentiles)}
+    pairs |= {"mean_m": sizes.mean, "mean_volume_m3": sizes.mean_volume}
+    return {"law": "d10, d50, d90 by volume; means by number",
+            "min_m": {"value": sizes.smallest}, "max_m": {"value": sizes.largest},
+            **{name: {"value": value, "standard_error": error} for name, (value, error) in pairs.items()},
+            "correlation_with_squared_distance": fit.mixing}
+
+
 def as_record(fit: StreamFit) -> dict:
     """Return the fits as what ``f2s stream --json`` writes: SI numbers, the unit in each name."""
-    number, size = fit.number, fit.measurement.diameter
+    number = fit.number
     names = ("peak_per_m", "centre_m", "width_m")
     values = (number.peak, number.centre, number.width)
     record = {
         "format": FORMAT, "measurement": fit.measurement.name, "particles": fit.measurement.count,
         "bands": f"{100 * CONFIDENCE:g} % prediction bands",
-        "diameter_range_m": [float(size.min()), float(size.max())],
+        "diameter": _sizes_record(fit),
         "number_over_lateral_position": {
             "law": "peak sech((x - centre) / width)", "bins": int(number.counts.size), "r2": number.r2,
             "dispersion": number.dispersion,
@@ -313,6 +334,7 @@ def as_record(fit: StreamFit) -> dict:
     if fit.lateral is not None:
         record["lateral_velocity"] = {
             "law": "axis + slope u + curvature u^2, u = x - centre",
+            "signed": fit.lateral_signed,
             "mean_m_s": {"value": fit.lateral_mean, "standard_error": fit.lateral_mean_error},
             "standard_deviation_m_s": fit.lateral_spread,
             **_polynomial_record(fit.lateral, ("axis_m_s", "slope_1_s", "curvature_1_m_s"))}

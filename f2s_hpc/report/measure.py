@@ -148,8 +148,7 @@ def half_track(scene: Scene, along: str = "y") -> bool:
     if batches.spheres:
         return all(abs(sphere["xy".index(axis)]) <= tolerance for sphere in batches.spheres)
     # (a jet has an axis over x only; with batches from files its speed law tells of it)
-    jet = batches.distribution == "sech" or scene.particles.speed_curvature != 0.0
-    return axis == "x" and jet and abs(batches.jet_centre) <= tolerance
+    return axis == "x" and scene.has_axis and abs(batches.jet_centre) <= tolerance
 
 
 def _mirror_notes(scene: Scene, settings: Settings, asked: bool | None) -> list[str]:
