@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from f2s_hpc import mpi, places
-from f2s_hpc._jit import cache_directory, source_hash
+from f2s_hpc._cache import cache_directory, source_hash
 from f2s_hpc.bench import states
 from f2s_hpc.bench.hook import Stopwatches, hooked
 from f2s_hpc.bench.machine import multiply_add_peak, triad_bandwidth

@@ -15,7 +15,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from f2s_hpc import places
-from f2s_hpc._jit import cache_directory, source_hash
+from f2s_hpc._cache import cache_directory, source_hash
 from f2s_hpc.bench import crowd, states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
 from f2s_hpc.bench.trial import typical
