@@ -1,57 +1,33 @@
 """The one decorator of the compiled kernels.
 
-The disk cache lives in a folder named by a hash of every kernel source: numba does not notice an
-edit in a callee's file, and two configurations that share a cache can pick up each other's code.
+The disk cache lives in a folder named by a hash of every kernel source (``f2s_hpc/_cache.py``).
 ``error_model="numpy"`` removes the zero-division test that blocks vectorisation (same bits, 2.6
 times faster on a stencil); ``fastmath`` stays off, so results do not depend on vector width.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import pathlib
-import tempfile
 
-PACKAGE = pathlib.Path(__file__).parent
+from f2s_hpc import _cache
 
-
-def source_hash(*folders: str) -> str:
-    """Return a hash of the sources in ``folders`` of the package, and of this file."""
-    digest = hashlib.sha256()
-    for folder in folders:
-        for path in sorted((PACKAGE / folder).glob("*.py")):
-            digest.update(path.read_bytes())
-    digest.update(pathlib.Path(__file__).read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def cache_directory() -> str:
-    """Return the folder of compiled kernels: ``F2S_CACHE_DIR``, else the user's cache folder."""
-    base = os.environ.get("F2S_CACHE_DIR")
-    if base is None:
-        home = pathlib.Path(os.environ.get("XDG_CACHE_HOME", pathlib.Path.home() / ".cache"))
-        base = str(home / "f2s_hpc")
-        if not os.access(home if home.exists() else home.parent, os.W_OK):
-            own = f"-{os.getuid()}" if hasattr(os, "getuid") else ""  # (Windows: each user's folder is his own)
-            base = os.path.join(tempfile.gettempdir(), f"f2s_hpc{own}")
-    return os.path.join(base, source_hash("kernels", "materials"))
-
-
-def kernels_are_compiled() -> bool:
-    """Tell whether there are compiled kernels of this version at all."""
-    return any(pathlib.Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))
-
-
-os.environ.setdefault("NUMBA_CACHE_DIR", cache_directory())
+CACHE = _cache.use()
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import llvmlite.binding  # noqa: E402
 import numba  # noqa: E402  (the cache folder must be known first)
 from numba.extending import intrinsic  # noqa: E402
 
+numba.config.CACHE_DIR = CACHE  # (it may have been imported before)
+
 # Row kernels work on a dozen arrays; by default LLVM gives up vectorising beyond eight tests that they do not overlap.
 llvmlite.binding.set_option("f2s_hpc", "-runtime-memory-check-threshold=64")
+
+
+def kernels_are_compiled() -> bool:
+    """Tell whether there are compiled kernels of this version at all."""
+    return any(pathlib.Path(CACHE).rglob("*.nbi"))
 
 
 def kernel(function):

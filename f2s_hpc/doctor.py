@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import importlib.util
 import os
 import pathlib
 import platform
 import shutil
+import site
 import subprocess
 import sys
 import tempfile
@@ -20,10 +22,12 @@ from collections.abc import Callable, Mapping
 from typing import TextIO
 
 from f2s_hpc import one_rank
+from f2s_hpc._cache import cache_directory
 from f2s_hpc.errors import F2SError
 
 PROBE_RANKS = 2
 PROBE_TIMEOUT_S = 120
+PACKAGES = {"MPI": "mpi4py", "PETSc": "petsc4py", "HDF5": "h5py"}
 PLAIN_PACKAGES = ("numpy", "scipy", "numba", "pydantic", "matplotlib", "meshio")
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 KEPT_PREFIXES = ("OMPI_MCA_", "OMPI_ALLOW_")
@@ -33,6 +37,7 @@ LAUNCHER_PARAMETERS = ("ess", "orte_", "pmix", "initial_wdir", "mpi_oversubscrib
 SETUP_AGAIN = "run scripts/setup"
 COMPUTING = ("MPI", "PETSc", "HDF5", "write, read")
 MEASURES = "to measure what a run left (analyse, report, compare, inspect, export) nothing is missing"
+OF_THE_USER = "it is the user's own, in {}: set PYTHONNOUSERSITE=1, or pip uninstall it there"
 
 
 def clean_mpi_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -81,9 +86,19 @@ class _Report:
             self.fact(name, check())
         except Exception as error:
             lines = str(error).strip().splitlines() or [""]
-            self.fault(name, f"{type(error).__name__}: {lines[0]}", mend)
+            self.fault(name, f"{type(error).__name__}: {lines[0]}", _own_of_user(PACKAGES.get(name, name)) or mend)
             return False
         return True
+
+
+def _own_of_user(package: str) -> str | None:
+    """Return what to do about a ``package`` of the user's own folder: no scripts/setup puts another before it."""
+    with contextlib.suppress(ImportError, ValueError, AttributeError):
+        place = importlib.util.find_spec(package).origin or ""
+        folder = site.getusersitepackages()
+        if pathlib.Path(place).is_relative_to(folder):
+            return OF_THE_USER.format(folder)
+    return None
 
 
 def _cores() -> str:
@@ -103,7 +118,7 @@ def _memory() -> str:
 
 
 def _cache_folder() -> str:
-    folder = pathlib.Path(importlib.import_module("f2s_hpc._jit").cache_directory())
+    folder = pathlib.Path(cache_directory())
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder):
         return f"{folder} (compiled kernels; F2S_CACHE_DIR moves it)"

@@ -75,9 +75,20 @@ link() {
     run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" "$@"
 }
 
-# back_to_the_queue: this very job again; where requeueing is switched off, a new job of the same script.
+# back_to_the_queue: this very job again; where requeueing is switched off, a new job of the same script, with what SLURM
+# tells of how this one was asked for.
 back_to_the_queue() {
-    scontrol requeue "$SLURM_JOB_ID" || OUT=$OUT SCENE=$SCENE sbatch --ntasks="$NTASKS" "$F2S_ROOT/${JOB_SCRIPT:-jobs/chain.sh}"
+    scontrol requeue "$SLURM_JOB_ID" && return
+    local again=(--ntasks="$NTASKS")
+    [ -z "${SLURM_JOB_NUM_NODES:-}" ] || again+=(--nodes="$SLURM_JOB_NUM_NODES")
+    [ -z "${SLURM_NTASKS_PER_NODE:-}" ] || again+=(--ntasks-per-node="$SLURM_NTASKS_PER_NODE")
+    [ -z "${SLURM_JOB_PARTITION:-}" ] || again+=(--partition="$SLURM_JOB_PARTITION")
+    [ -z "${SLURM_JOB_ACCOUNT:-}" ] || again+=(--account="$SLURM_JOB_ACCOUNT")
+    [ -z "${SLURM_JOB_QOS:-}" ] || again+=(--qos="$SLURM_JOB_QOS")
+    # (in seconds since 1970, from SLURM 22 on; in minutes)
+    [ -z "${SLURM_JOB_START_TIME:-}" ] || [ -z "${SLURM_JOB_END_TIME:-}" ] ||
+        again+=(--time="$(((SLURM_JOB_END_TIME - SLURM_JOB_START_TIME) / 60))")
+    OUT=$OUT SCENE=$SCENE sbatch "${again[@]}" "$F2S_ROOT/${JOB_SCRIPT:-jobs/chain.sh}"
 }
 
 prepare_node

@@ -10,6 +10,8 @@ LAUNCH=${LAUNCH:-mpirun -n}
 ASKED_TO_END=no # SIGTERM came: somebody, or the batch system, wants this job to be over
 NTASKS=${SLURM_NTASKS:-2}
 DRY_RUN=${DRY_RUN:-0}
+# (a slash at its end would put into OUT what belongs beside it)
+while [ "${OUT:-/}" != / ] && [ "${OUT%/}" != "$OUT" ]; do OUT=${OUT%/}; done
 
 # prepare_node: modules, f2s on PATH, compiled kernels on the node's own disk.
 prepare_node() {

@@ -24,4 +24,4 @@ set -euo pipefail
 
 export SCENE=multitrack OUT=${OUT:-runs/multitrack} JOB_SCRIPT=jobs/multitrack.sh
 # exec keeps the process that SLURM signals
-exec bash "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}/jobs/chain.sh" "$@"
+exec bash "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}/jobs/chain.sh" "$@"

@@ -1,63 +1,33 @@
-"""Table of a scaling study from the summaries of its runs: ``python jobs/scaling_table.py FOLDER``.
+"""Table of a scaling study from what its runs left: ``python jobs/scaling_table.py strong|weak FOLDER``.
 
-Reads ``FOLDER/ranks-*/summary.json``, prints a table and writes ``FOLDER/scaling.csv``. The efficiency
-is the rate per rank (active cell-steps per second) over that of the run with the fewest ranks; this
-holds for strong and weak scaling alike.
+Reads ``summary.json`` and ``times.json`` in ``FOLDER/ranks-*``, prints a table and writes ``scaling.csv``, ``.json``
+and ``.png`` into ``FOLDER``. Times are per step, the mean of the middle half of the steps: neither the start nor
+compilation is in them. The efficiency is the active cell-steps per second and rank over those of the run with the
+fewest ranks; this holds for strong and weak scaling alike.
 """
 
 from __future__ import annotations
 
-import csv
-import json
 import pathlib
 import sys
 
-COLUMNS = ("ranks", "cells", "steps", "wall_s", "active_cell_steps_per_s", "efficiency", "memory_per_rank_bytes")
-
-
-def scaling_rows(folder: pathlib.Path) -> list[dict[str, float]]:
-    """Return one row per complete run below ``folder``, by ranks; keys are ``COLUMNS``.
-
-    Raises ``ValueError`` if there is none.
-    """
-    summaries = [json.loads(path.read_text()) for path in folder.glob("ranks-*/summary.json")]
-    complete = sorted((s for s in summaries if s.get("status") == "complete"), key=lambda s: s["ranks"])
-    for summary in complete:
-        lacking = [name for name in (*COLUMNS[:5], "peak_memory_bytes") if name not in summary]
-        if lacking:
-            raise ValueError(f"{folder}: a summary lacks {', '.join(lacking)}")
-    if not complete:
-        raise ValueError(f"{folder}: no ranks-*/summary.json of a complete run")
-    base = complete[0]["active_cell_steps_per_s"] / complete[0]["ranks"]
-    return [{
-        **{name: summary[name] for name in COLUMNS[:5]},
-        "efficiency": summary["active_cell_steps_per_s"] / summary["ranks"] / base,
-        "memory_per_rank_bytes": summary["peak_memory_bytes"] / summary["ranks"],
-    } for summary in complete]
+from f2s_hpc.bench import scaling
+from f2s_hpc.errors import F2SError
 
 
 def main(arguments: list[str]) -> int:
     """Print and write the table; return the exit code."""
-    if len(arguments) != 1:
-        print("usage: python jobs/scaling_table.py FOLDER", file=sys.stderr)
+    if len(arguments) != 2 or arguments[0] not in ("strong", "weak"):
+        print("usage: python jobs/scaling_table.py strong|weak FOLDER", file=sys.stderr)
         return 2
-    folder = pathlib.Path(arguments[0])
+    folder = pathlib.Path(arguments[1])
     try:
-        rows = scaling_rows(folder)
-    except ValueError as error:
+        rows = scaling.rows_of_folder(arguments[0], folder)
+        print(scaling.table(rows))
+        print("also in " + ", ".join(str(path) for path in scaling.write(rows, folder)))
+    except F2SError as error:
         print(error, file=sys.stderr)
-        return 2
-    with open(folder / "scaling.csv", "w", newline="", encoding="ascii") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    print(f"{'ranks':>6} {'cells':>12} {'steps':>8} {'wall s':>9} {'Mcell-steps/s':>14} {'efficiency':>11} "
-          f"{'MiB/rank':>9}")
-    for row in rows:
-        print(f"{row['ranks']:>6} {row['cells']:>12} {row['steps']:>8} {row['wall_s']:>9.1f} "
-              f"{row['active_cell_steps_per_s'] / 1e6:>14.3f} {row['efficiency']:>11.2f} "
-              f"{row['memory_per_rank_bytes'] / 2**20:>9.0f}")
-    print(f"also in {folder / 'scaling.csv'}")
+        return error.exit_code
     return 0
 
 

@@ -22,4 +22,4 @@ set -euo pipefail
 
 export SCENE=wide-100k OUT=${OUT:-runs/wide-100k} JOB_SCRIPT=jobs/wide-100k.sh
 # exec keeps the process that SLURM signals
-exec bash "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$PWD}}/jobs/chain.sh" "$@"
+exec bash "${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}/jobs/chain.sh" "$@"

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, places
 from f2s_hpc.bench import kernels, states
 from f2s_hpc.errors import F2SError
 
@@ -36,6 +36,8 @@ def main(arguments: list[str]) -> int:
     chosen = parser.parse_args(arguments)
     mpi.install_abort_hook()
     try:
+        if chosen.json:
+            mpi.run_together(places.check_file, chosen.json, "--json")
         machine, rows = kernels.run(chosen.states.split(","), chosen.sizes.split(","), not chosen.no_count, _say)
         if chosen.json and mpi.is_root():
             kernels.write_json(chosen.json, machine, rows)

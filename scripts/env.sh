@@ -25,6 +25,11 @@ export H5PY_ALWAYS_USE_MPI="${H5PY_ALWAYS_USE_MPI:-1}"
 # All parallelism is in the ranks.
 export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
 export OMPI_MCA_rmaps_base_oversubscribe="${OMPI_MCA_rmaps_base_oversubscribe:-1}"
+# Open MPI binds the ranks of each run from core 0 on, so that two runs side by side would share it. In a batch job, which
+# has its cores for itself, binding is right.
+if [ -z "${SLURM_JOB_ID:-}${PBS_JOBID:-}${LSB_JOBID:-}" ]; then
+    export OMPI_MCA_hwloc_base_binding_policy="${OMPI_MCA_hwloc_base_binding_policy:-none}"
+fi
 if [ "$(id -u)" = 0 ]; then
     export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 fi

@@ -4,7 +4,8 @@
     . scripts/env.sh
     python scripts/performance.py
     mpirun -n 2 f2s run wide-100k --out runs/wide
-    python scripts/performance.py --wide runs/wide            cost per particle against section4 with the same cells
+    python scripts/performance.py --wide runs/wide            cost per particle against section4 with the same
+                                                              cells and a patch of itself, on as many ranks
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", default=",".join(PARTS), metavar="NAME[,NAME..]", help="of: " + ", ".join(PARTS))
     parser.add_argument("--wide", metavar="DIR", help="a finished run of wide-100k")
-    parser.add_argument("--ranks", type=int, default=2, help="ranks of section4 beside it (2)")
     parser.add_argument("--launcher", default="mpirun -n", help='what starts ranks ("mpirun -n")')
     chosen = parser.parse_args(words)
     names = [] if chosen.wide else [name for name in chosen.parts.split(",") if name]
@@ -38,7 +38,7 @@ def main(words: list[str]) -> int:
             for name in names:
                 print(PARTS[name](pathlib.Path(folder)), flush=True)
             if chosen.wide:
-                print(performance.per_particle(pathlib.Path(chosen.wide), pathlib.Path(folder), chosen.ranks,
+                print(performance.per_particle(pathlib.Path(chosen.wide), pathlib.Path(folder),
                                                chosen.launcher))
     except F2SError as error:
         print(error, file=sys.stderr)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import pathlib
+import shlex
 import sys
 
 from f2s_hpc.bench import scaling
@@ -46,7 +47,7 @@ def _ranks(text: str | None) -> list[int]:
         ranks = []
     if not ranks or min(ranks) < 1:
         raise InputError(f"--ranks {text}: whole numbers from 1, separated by commas, are needed")
-    return ranks
+    return list(dict.fromkeys(ranks))
 
 
 def main(words: list[str]) -> int:
@@ -56,13 +57,12 @@ def main(words: list[str]) -> int:
         ranks, out = _ranks(chosen.ranks), pathlib.Path(chosen.out)
         scene, overrides = chosen.scene or "section4", [*([] if chosen.scene else STUDY), *chosen.overrides]
         kinds = ("strong", "weak") if chosen.kind == "both" else (chosen.kind,)
+        runs = scaling.planned(kinds, scene, overrides, chosen.duration, ranks, out, chosen.launcher)
         if chosen.dry_run:
-            for kind in kinds:
-                for line in scaling.commands(kind, scene, overrides, chosen.duration, ranks, out, chosen.launcher):
-                    print(line)
+            for run in runs:
+                print(shlex.join(run.command))
             return 0
-        rows = [row for kind in kinds
-                for row in scaling.study(kind, scene, overrides, chosen.duration, ranks, out, chosen.launcher)]
+        rows = scaling.study(runs, out)
         print(scaling.table(rows))
         print("also in " + ", ".join(str(path) for path in scaling.write(rows, out)))
     except F2SError as error:

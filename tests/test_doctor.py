@@ -74,6 +74,20 @@ def test_serial_h5py_is_a_fault(monkeypatch):
     assert "write, read" not in said
 
 
+def test_doctor_knows_what_setup_cannot_mend(tmp_path, monkeypatch):
+    """A package in ~/.local comes first. Fails if scripts/setup is advised for it, which leaves that as it is."""
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "h5py.py").write_text("raise ImportError('for another MPI')\n")
+    code = (f"import site, sys; site.getusersitepackages = lambda: {str(own)!r}; sys.path.insert(0, {str(own)!r}); "
+            "from f2s_hpc import doctor; sys.exit(doctor.main([]))")
+    done = launch([sys.executable, "-c", code])
+    assert done.returncode == 1
+    last = next(line for line in done.stdout.splitlines() if line.startswith("HDF5: ImportError"))
+    assert last.endswith(f"it is the user's own, in {own}: set PYTHONNOUSERSITE=1, or pip uninstall it there")
+    assert "scripts/setup" not in last
+
+
 def test_clean_environment_drops_the_launcher_and_keeps_the_user():
     mine = {"OMPI_MCA_io": "^ompio", "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1",
             "PATH": "/bin", "SLURM_JOB_ID": "7"}

@@ -15,6 +15,7 @@ from conftest import F2S, ROOT
 from test_damaged import SCENE, copy, edit, finished  # noqa: F401  (fixtures)
 
 from f2s_hpc import mpi
+from f2s_hpc._cache import package_hash
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene, parse_scene
 from f2s_hpc.cycles import simulation
@@ -388,8 +389,10 @@ def test_files_tell_commit_and_libraries(finished, capsys):  # noqa: F811
     assert end.value.code == 0
     said = capsys.readouterr().out
     assert commit() is None or commit()[:12] in said
+    assert f"sources {package_hash()})" in said
     told = runs.read_frame_meta(finished / layout.FRAMES / layout.frame_name(0)).provenance
     assert told["commit"] == commit()
+    assert told["sources"] == package_hash()
     assert told["libraries"]["numpy"] == np.__version__
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+import pathlib
 import re
 import shutil
 
 import pytest
 
 from f2s_hpc.bench import performance
+from f2s_hpc.config import dump_scene, load_scene
 from f2s_hpc.errors import F2SError
 
 
@@ -43,4 +46,29 @@ def test_cost_per_particle_wants_a_run(tmp_path):
     """Fails if a wrong folder ends in a traceback."""
     shutil.rmtree(tmp_path)
     with pytest.raises(F2SError):
-        performance.per_particle(tmp_path, tmp_path, 1, "mpirun -n")
+        performance.per_particle(tmp_path, tmp_path, "mpirun -n")
+
+
+def test_cost_per_particle_compares_like_with_like(tmp_path, monkeypatch):
+    """Fails if the patch is of another scene than the run's own, or on other ranks than it had."""
+    wide, calls = tmp_path / "wide", []
+    wide.mkdir()
+    (wide / "scene.toml").write_text(dump_scene(load_scene("wide-100k", ["domain.cell_size=16 um"])))
+    summary = {"status": "complete", "particles": 100, "painted_volume_m3": 1e-9, "active_cell_steps": 1000,
+               "wall_s": 10.0, "peak_memory_bytes": 1e9, "ranks": 3}
+    (wide / "summary.json").write_text(json.dumps(summary))
+
+    def run(command, what):
+        calls.append(command)
+        folder = pathlib.Path(command[command.index("--out") + 1])
+        folder.mkdir()
+        (folder / "summary.json").write_text(json.dumps(summary | {"particles": 50}))
+
+    monkeypatch.setattr(performance.launch, "run", run)
+    text = performance.per_particle(wide, tmp_path, "srun -n")
+    assert "cell-steps per particle -50.0%" in text
+    assert [command[:3] for command in calls] == [["srun", "-n", "3"]] * 2
+    scene, = (word for word in calls[1] if word.endswith("scene.toml"))
+    assert scene == str(wide / "scene.toml")
+    patch = load_scene(scene, [word for word in calls[1] if "=" in word])
+    assert (patch.domain.cell_size, patch.batches.particles) == (16e-6, 418)

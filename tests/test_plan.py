@@ -257,7 +257,36 @@ def test_plan_command(run_f2s, tmp_path):
     assert np.isclose(record["predictions"][1]["step_s"] * 1e3, printed, atol=0.01)
 
 
+def test_what_does_not_fit_is_known_before_the_rates_are_measured(run_f2s, tmp_path):
+    """Fails if one number of ranks of the default takes the others away, or one that was asked for is left out."""
+    measured.write_rates(tmp_path / "r.json", RATES)
+    small = ["plan", "splat", "--set", "domain.cell_size=4 um", "--set", 'domain.size=["48 um", "48 um", "84 um"]',
+             "--set", 'batches.spheres=[["24 um", "24 um", "20 um", "15 um"]]', "--rates", "r.json"]
+    done = run_f2s(small)
+    assert done.returncode == 0, done.stderr
+    assert "note: the box is too small for 64 ranks; left out" in done.stdout
+    assert [line.split()[0] for line in done.stdout.splitlines()[-4:]] == ["1", "2", "4", "16"]
+    done = run_f2s([*small[:-1], "new.json", "--ranks", "1,64"])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "can not be cut into 64 blocks" in done.stderr
+
+
+def test_a_cache_that_cannot_be_written_is_a_note(tmp_path, monkeypatch):
+    """Fails if three quarters of a minute of measuring end in an error."""
+    scene, said = load_scene("splat"), []
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(measured, "cache_file", lambda scene: tmp_path / "file" / "rates.json")
+    monkeypatch.setattr(measured, "calibrate", lambda *arguments: RATES)
+    assert measured.rates_for(scene, make_batches(scene), None, said.append) == RATES
+    assert len(said) == 1
+    assert "the rates are not kept" in said[0]
+    with pytest.raises(InputError):
+        measured.rates_for(scene, make_batches(scene), str(tmp_path / "file" / "rates.json"))
+
+
 @pytest.mark.parametrize(("arguments", "said"), [
+    (["--check-time", "1 ns"], "give --check too"), (["--check", "--check-time", "0 ns"], "it must be above 0"),
+    (["--check", "--check-time=-1 ns"], "it must be above 0"),
     (["--ranks", "0"], "whole numbers from 1 to 4,096"), (["--ranks", "two"], "whole numbers from 1 to 4,096"),
     (["--ranks", "5000"], "whole numbers from 1 to 4,096"), (["--bandwidth", "0"], "--bandwidth must be above 0"),
     (["--latency", "3 um"], "--latency 3 um: this is a length"), (["--rates", "bad.json"], "is no file of rates")])

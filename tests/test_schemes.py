@@ -61,3 +61,21 @@ def test_an_unfinished_run_is_refused(tmp_path):
     _leave(tmp_path / "recurring", status="timeout")
     with pytest.raises(F2SError, match="timeout"):
         schemes.measure("recurring", ["a.csv"], [], 2, tmp_path, "mpirun -n")
+
+
+def test_half_the_batches_are_not_taken_for_all(tmp_path):
+    """Fails if a folder that an interrupted writing left is sprayed as it is, or other files in it count."""
+    (tmp_path / "batches").mkdir()
+    (tmp_path / "batches" / "batch-01.csv").touch()
+    (tmp_path / "batches" / "other.csv").touch()
+    with pytest.raises(F2SError, match=r"batches: holds 1 batches of 5; remove it"):
+        schemes.batch_files(tmp_path)
+
+
+@pytest.mark.parametrize("key", ["status", "wall_s", "peeq_p50"])
+def test_a_summary_that_lacks_something_is_one_line(tmp_path, key):
+    """Fails with a ``KeyError``."""
+    _leave(tmp_path / "recurring")
+    (tmp_path / "recurring" / "summary.json").write_text(json.dumps({k: v for k, v in FOUND.items() if k != key}))
+    with pytest.raises(F2SError, match=f"lacks {key}"):
+        schemes.measure("recurring", ["a.csv"], [], 2, tmp_path, "mpirun -n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.metadata
 import json
 import os
@@ -67,10 +68,24 @@ def test_job_dry_run_prints_its_commands(project, job):
     assert done.returncode == 0, done.stderr
     commands = done.stdout.splitlines()
     scene = job if job in ("wide-100k", "multitrack") else "section4"
-    assert all(re.match(rf"mpirun -n \d+ f2s run {scene} --out runs/here", line) for line in commands)
+    program = "python -m f2s_hpc.cli.timed_run" if "scaling" in job else "f2s"
+    assert all(re.match(rf"mpirun -n \d+ {program} run {scene} --out runs/here", line) for line in commands)
     ranks = [int(line.split()[2]) for line in commands]
-    assert ranks == ([1, 1, 2, 4] if "scaling" in job else [4])
+    assert ranks == ([4, 1, 2, 4] if "scaling" in job else [4])  # (first all nodes compile)
     assert not (project / "runs").exists()
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_jobs_start_from_any_folder(project, job):
+    """Fails if a job looks for the repository where it is called, or a slash at the end of OUT puts files into it."""
+    (project / "elsewhere").mkdir()
+    write_command(project / ".venv/bin/mpirun", "exit 0")
+    write_command(project / ".venv/bin/f2s", "")
+    write_command(project / ".venv/bin/python", "")
+    done = bash([f"../jobs/{job}.sh"], project / "elsewhere", OUT="runs/o//")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [path.name for path in (project / "runs").iterdir()] == ["o.jobs.txt"]
+    assert "--out runs/o/" not in done.stdout.replace("runs/o/ranks", "").replace("runs/o/compile", "")
 
 
 def test_weak_scaling_keeps_the_work_of_a_rank(project):
@@ -160,24 +175,30 @@ FAKE_SBATCH = """
 
 
 def test_chain_resubmits_itself_where_requeueing_is_off(project):
+    """Fails if the new job loses what the first was asked for with, on nodes, time, partition or account."""
     write_command(project / ".venv/bin/srun", 'echo "srun $*" >>calls\nshift 3\nexec "$@"')
     write_command(project / ".venv/bin/f2s", "mkdir -p runs/c/checkpoints; touch runs/c/checkpoints/a.json; exit 75")
     write_command(project / ".venv/bin/scontrol", "exit 1")
     write_command(project / ".venv/bin/sbatch", FAKE_SBATCH)
     done = bash(["jobs/wide-100k.sh"], project, OUT="runs/c", SLURM_JOB_ID="17", SLURM_SUBMIT_DIR=str(project),
-                SLURM_NTASKS="8", LAUNCH="srun --mpi=pmix -n")
+                SLURM_NTASKS="8", LAUNCH="srun --mpi=pmix -n", SLURM_JOB_NUM_NODES="2", SLURM_NTASKS_PER_NODE="4",
+                SLURM_JOB_PARTITION="long", SLURM_JOB_ACCOUNT="metal", SLURM_JOB_QOS="night",
+                SLURM_JOB_START_TIME="1700000000", SLURM_JOB_END_TIME="1700021600")
     assert done.returncode == 0, done.stdout + done.stderr
     assert (project / "calls").read_text().splitlines() == [
-        "srun --mpi=pmix -n 8 f2s run wide-100k --out runs/c", f"sbatch --ntasks=8 {project}/jobs/wide-100k.sh"]
+        "srun --mpi=pmix -n 8 f2s run wide-100k --out runs/c",
+        ("sbatch --ntasks=8 --nodes=2 --ntasks-per-node=4 --partition=long --account=metal --qos=night --time=360 "
+         f"{project}/jobs/wide-100k.sh")]
     assert int((project / "directives").read_text()) >= 8
 
 
 @pytest.mark.parametrize("job", JOBS)
 def test_jobs_run_under_slurm_and_tell_where(project, job):
     """Every job through fake commands of SLURM: launched by srun, kernels on the node's disk, provenance written."""
-    write_command(project / ".venv/bin/srun", 'echo "$*" >>calls\nwhile [ "$1" != f2s ]; do shift; done\nexec "$@"')
-    write_command(project / ".venv/bin/f2s", 'echo "$F2S_CACHE_DIR" >>caches')
-    write_command(project / ".venv/bin/python", "exit 0")
+    write_command(project / ".venv/bin/srun",
+                  'echo "$*" >>calls\nwhile [[ $1 != @(f2s|python) ]]; do shift; done\nexec "$@"')
+    for name in ("f2s", "python"):
+        write_command(project / ".venv/bin" / name, 'echo "$F2S_CACHE_DIR" >>caches')
     done = bash([f"jobs/{job}.sh"], project, OUT="runs/o", SLURM_JOB_ID="9", SLURM_NTASKS="4", SLURM_TMPDIR="/local",
                 SLURM_SUBMIT_DIR=str(project), LAUNCH="srun -n")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -262,21 +283,42 @@ def test_job_passes_the_signal_to_the_ranks(project):
     assert "not finished in this job" in output
 
 
+def test_scaling_job_measures_steps_not_the_start(project):
+    """Real runs. Fails if the table is made of wall time, or one failed run takes it from the others."""
+    write_command(project / ".venv/bin/python", f'exec {sys.executable} "$@"')
+    write_command(project / ".venv/bin/f2s", "")
+    write_command(project / ".venv/bin/mpirun", '[[ $* != *ranks-3* ]] || exit 5\nshift 2\nexec "$@"')
+    done = bash(["jobs/strong-scaling.sh"], project, SCENE="quickstart", CELL_SIZE="6 um", DURATION="8 ns",
+                OUT="runs/s", RANKS="1 3", PYTHONPATH=str(ROOT))
+    assert done.returncode == 5, done.stdout + done.stderr
+    assert "the run on 3 ranks ended with 5" in done.stdout
+    assert "efficiency" in done.stdout
+    row, = json.loads((project / "runs/s/scaling.json").read_text())
+    summary = json.loads((project / "runs/s/ranks-1/summary.json").read_text())
+    assert 0.0 < row["step_s"] * summary["steps"] < 0.9 * summary["wall_s"]
+
+
 def test_scaling_table(project):
-    for ranks, rate in ((1, 2.0e6), (4, 6.0e6), (2, 4.0e6)):
+    """Fails if runs are in the order of their names, or the efficiency is not that of the steps' times."""
+    for ranks, step in ((1, 8e-3), (4, 8e-3 / 3.0), (2, 4e-3)):
         folder = project / "study" / f"ranks-{ranks}"
         folder.mkdir(parents=True)
         (folder / "summary.json").write_text(json.dumps({
-            "status": "complete", "ranks": ranks, "cells": 1000, "steps": 10, "wall_s": 8.0 / ranks,
-            "active_cell_steps_per_s": rate, "peak_memory_bytes": 2**20 * ranks}))
-    done = launch([sys.executable, str(project / "jobs/scaling_table.py"), str(project / "study")])
+            "status": "complete", "ranks": ranks, "cells": 1000, "steps": 10, "wall_s": 99.0, "imbalance": 1.0,
+            "active_cell_steps": 8000, "peak_memory_bytes": 2**20 * ranks}))
+        (folder / "times.json").write_text(json.dumps({"step_s": step, "busy_s": step / 2.0}))
+    table = [sys.executable, str(project / "jobs/scaling_table.py")]
+    done = launch([*table, "strong", str(project / "study")])
     assert done.returncode == 0, done.stderr
-    rows = [line.split(",") for line in (project / "study" / "scaling.csv").read_text().splitlines()[1:]]
-    assert [(int(row[0]), float(row[5]), float(row[6])) for row in rows] == [
-        (1, 1.0, 2.0**20), (2, 1.0, 2.0**20), (4, 0.75, 2.0**20)]
-    done = launch([sys.executable, str(project / "jobs/scaling_table.py"), str(project)])
-    assert done.returncode == 2
-    assert "no ranks-*/summary.json" in done.stderr
+    with open(project / "study" / "scaling.csv", newline="", encoding="ascii") as file:
+        rows = list(csv.DictReader(file))
+    assert [(int(row["ranks"]), float(row["memory_per_rank_bytes"])) for row in rows] == [
+        (1, 2.0**20), (2, 2.0**20), (4, 2.0**20)]
+    assert [float(row["efficiency"]) for row in rows] == pytest.approx([1.0, 1.0, 0.75])
+    done = launch([*table, "weak", str(project)])
+    assert done.returncode == 1
+    assert "holds no complete run" in done.stderr
+    assert launch([*table, str(project)]).returncode == 2
 
 
 @pytest.mark.parametrize(("there", "said"), [
@@ -321,6 +363,25 @@ def test_environment_needs_no_exported_variable():
     assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
 
 
+def test_packages_of_the_user_do_not_come_before_the_distribution(project):
+    """A serial h5py in ~/.local, for one. Fails if setup leaves that folder in the path of .venv."""
+    text = (project / "scripts/setup").read_text()
+    (project / "scripts/setup").write_text(text.removesuffix('main "$@"\n'))  # (its functions alone)
+    shutil.rmtree(project / ".venv")
+    make = ('. scripts/setup; "$SYSTEM_PYTHON" -m venv --system-site-packages --without-pip .venv; '
+            "write_environment_hook")
+    made = bash(["-c", make], project, F2S_SYSTEM_PYTHON=sys.executable)
+    assert made.returncode == 0, made.stderr
+    version = ".".join(map(str, sys.version_info[:2]))
+    own = project / "home" / ".local" / "lib" / f"python{version}" / "site-packages"
+    own.mkdir(parents=True)
+    (own / "h5py.py").write_text("")
+    code = "import importlib.util as u; found = u.find_spec('h5py'); print(found and found.origin)"
+    done = subprocess.run([project / ".venv/bin/python", "-c", code], capture_output=True, text=True, check=True,
+                          env={"PATH": os.environ["PATH"], "HOME": str(project / "home")})
+    assert str(own) not in done.stdout
+
+
 def test_pins_are_what_is_installed():
     """What was tested together is what is pinned."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -349,6 +410,20 @@ def test_quickstart_numbers_its_folders_and_reports(project):
     for name in ("deposit.png", "summary.json", "summary.csv", "deposit.vtkhdf"):
         assert f"runs/quickstart-2/{name}\n" in done.stdout
     assert bash(["scripts/quickstart", "--ranks", "none"], project).returncode == 2
+    for words in (["--out", "mine"], ["--out=mine"]):
+        done = bash(["scripts/quickstart", "--", *words], project)
+        assert done.returncode == 2
+        assert "each run gets a folder of its own" in done.stderr
+    assert len((project / "calls").read_text().splitlines()) == 2
+
+
+@pytest.mark.parametrize(("variables", "policy"), [
+    ({}, "none"), ({"SLURM_JOB_ID": "7"}, ""), ({"OMPI_MCA_hwloc_base_binding_policy": "core"}, "core")])
+def test_runs_side_by_side_do_not_share_a_core(project, variables, policy):
+    """Fails if env.sh lets Open MPI bind each run from core 0 on, binds off in a batch job, or overrules the user."""
+    done = subprocess.run(["bash", "-c", '. scripts/env.sh; echo "$OMPI_MCA_hwloc_base_binding_policy"'], cwd=project,
+                          env={"PATH": os.environ["PATH"]} | variables, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == policy
 
 
 @pytest.mark.parametrize(("linter", "code", "last"), [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
@@ -15,18 +16,18 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from f2s_hpc import mpi, places
-from f2s_hpc._jit import cache_directory, source_hash
+from f2s_hpc._cache import cache_directory, source_hash
 from f2s_hpc.bench import states
-from f2s_hpc.bench.hook import Stopwatches, hooked
+from f2s_hpc.bench.hook import EXCHANGE, Stopwatches, hooked
+from f2s_hpc.bench.launch import reason
 from f2s_hpc.bench.machine import multiply_add_peak, triad_bandwidth
+from f2s_hpc.doctor import launch_environment
 from f2s_hpc.errors import F2SError, InputError
 from f2s_hpc.verify.box import Setup
 
 WHOLE_STEP, PYTHON = "whole step", "Python between kernels"
 SIZES = {"S": (1, 1), "M": (2, 2), "L": (4, 4), "XL": (8, 8)}
 """Mirror images (x, y) of the patch of 16 x 16 x 32 cells: 1.7 to 109 MB of fields."""
-
-_OF_A_RANK = ("OMPI_COMM", "OMPI_UNIVERSE", "PMI", "SLURM_")
 
 STRETCHES = 8
 """Stretches from remap to remap measured at least. A kernel's figure is its least one."""
@@ -79,19 +80,21 @@ def count_work(name: str, saved: dict[str, np.ndarray]) -> dict[str, dict]:
     """
     def count() -> dict[str, dict]:
         cached = pathlib.Path(cache_directory()) / f"work-{name}-{source_hash('bench', 'solver')}.json"
-        if cached.exists():
+        with contextlib.suppress(OSError, ValueError):
             return json.loads(cached.read_text(encoding="utf-8"))
         with tempfile.TemporaryDirectory() as folder:
             path = pathlib.Path(folder) / "patch.npz"
             np.savez(path, **saved)
-            # a process started by a process of mpirun must not take itself for one of its ranks
-            alone = {n: v for n, v in os.environ.items() if not n.startswith(_OF_A_RANK)}
+            # a process started by a process of mpirun or srun must not take itself for one of its ranks
+            alone = {n: v for n, v in launch_environment(os.environ).items() if not n.startswith("SLURM_")}
             done = subprocess.run([sys.executable, "-m", "f2s_hpc.bench.count", str(path)], capture_output=True,
-                                  text=True, env=alone | {"NUMBA_DISABLE_JIT": "1"}, check=False)
+                                  text=True, env=alone | {"NUMBA_DISABLE_JIT": "1"}, check=False,
+                                  stdin=subprocess.DEVNULL)
         if done.returncode:
-            raise F2SError(f"counting the operations of a step failed: {done.stderr.strip().splitlines()[-1]}")
-        cached.parent.mkdir(parents=True, exist_ok=True)
-        cached.write_text(done.stdout, encoding="utf-8")
+            raise F2SError(f"counting the operations of a step ended with {done.returncode}: {reason(done.stderr)}")
+        with contextlib.suppress(InputError):  # (counted anew the next time)
+            places.make_folder(cached.parent, "F2S_CACHE_DIR")
+            places.write_text(cached, done.stdout)
         return json.loads(done.stdout)
 
     return mpi.run_together(count)
@@ -100,8 +103,10 @@ def count_work(name: str, saved: dict[str, np.ndarray]) -> dict[str, dict]:
 def time_steps(setup: Setup, least_seconds: float = 1.0) -> tuple[dict[str, float], dict[str, float], float, int, int]:
     """Return per step: least seconds and calls of each kernel, least seconds of the whole; then active cells, steps.
 
-    Seconds are CPU time of the slowest rank, over the steps from remap to remap: of those stretches that have the most
-    common number of steps, which comes last. Takes at least ``STRETCHES`` of them and ``least_seconds``. Collective.
+    Seconds are CPU time over the steps from remap to remap, of those stretches that have the most common number of
+    steps: of the kernels on the rank that spends most in them without waiting, of the whole on the slowest in each
+    stretch. Calls are that rank's, the mean of those stretches. Takes at least ``STRETCHES`` of them and
+    ``least_seconds``. Collective.
     """
     watches = Stopwatches()
     found: list[tuple[int, float, dict[str, float], dict[str, int]]] = []
@@ -120,7 +125,9 @@ def time_steps(setup: Setup, least_seconds: float = 1.0) -> tuple[dict[str, floa
     alike = [stretch for stretch in found if stretch[0] == common]
     names = {name for stretch in alike for name in stretch[2]}
     least = {name: min(seconds.get(name, np.inf) for _, _, seconds, _ in alike) / common for name in names}
-    calls = {name: number / common for name, number in alike[-1][3].items()}
+    calls = {name: sum(stretch[3].get(name, 0) for stretch in alike) / (len(alike) * common) for name in names}
+    busy = sum(seconds for name, seconds in least.items() if name != EXCHANGE)
+    _, least, calls = max(mpi.all_gather((busy, least, calls)), key=lambda rank: rank[0])
     active, taken = setup.clock.active_cell_steps - before[0], setup.clock.steps - before[1]
     return (least, calls, min(one for _, one, _, _ in alike) / common, round(int(mpi.total(np.int64(active))) / taken),
             common)

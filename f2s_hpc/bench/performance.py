@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from f2s_hpc.bench import launch
 from f2s_hpc.errors import F2SError
 from f2s_hpc.io import layout, runs
+from f2s_hpc.units import count_text
 
 QUIET = ("output.frames=none", "output.checkpoints=false", "output.picture=false")
 
@@ -57,7 +58,7 @@ def startup(out: pathlib.Path) -> str:
     run_once("section4", first, out / "start-first")
     warm = min(run_once("section4", first, out / f"start-warm-{n}")["startup_s"] for n in range(3))
     cache = str((out / "cache").resolve())
-    cold = run_once("section4", first, out / "start-cold", F2S_CACHE_DIR=cache, NUMBA_CACHE_DIR=cache)["startup_s"]
+    cold = run_once("section4", first, out / "start-cold", F2S_CACHE_DIR=cache)["startup_s"]
     return (f"section4 at 3 um, from the start of the process to the end of the first step: {warm:.1f} s, "
             f"{cold:.0f} s where all kernels have to be compiled")
 
@@ -91,21 +92,25 @@ def _on_ranks(scene: str, settings: Sequence[str], folder: pathlib.Path, ranks: 
     return runs.read_summary(folder)
 
 
-def per_particle(wide: pathlib.Path, out: pathlib.Path, ranks: int, launcher: str) -> str:
+COMPARED = ("particles", "painted_volume_m3", "active_cell_steps", "wall_s", "peak_memory_bytes", "ranks")
+
+
+def per_particle(wide: pathlib.Path, out: pathlib.Path, launcher: str) -> str:
     """Return the cost per particle of a finished run of wide-100k against section4, and against a patch of itself.
 
-    Both with its cells and cycles, on ``ranks`` ranks; by cell-steps, which do not depend on what else the machine
-    does, and by the clock. Powder and number of cycles are the same, so their deposits are as high.
+    Both with its cells and cycles, on as many ranks as it had; the patch with all its settings. By cell-steps, which do
+    not depend on what else the machine does, and by the clock. Powder and number of cycles are the same, so their
+    deposits are as high. Raises ``F2SError`` for a folder without such a run, or a run that fails.
     """
-    many, scene = runs.read_summary(wide), read_scene_text(wide)
-    domain, cycles = scene["domain"], scene["cycles"]
+    many, scene = launch.finished(wide, COMPARED), read_scene_text(wide)
+    ranks, domain, cycles = many["ranks"], scene["domain"], scene["cycles"]
     patch = [s.format(height=domain["size"][2]) for s in PATCH]
     alike = [f"domain.cell_size={domain['cell_size']}", f"cycles.count={cycles['count']}",
              f"cycles.last_duration={cycles['last_duration']}"]
     few = {"section4": _on_ranks("section4", alike, out / "section4", ranks, launcher),
-           "a patch of wide-100k": _on_ranks("wide-100k", patch, out / "patch", ranks, launcher)}
-    lines = [(f"cells of {domain['cell_size']}: wide-100k {many['particles']:,} particles, {many['wall_s']:.0f} s on "
-              f"{many['ranks']} ranks, {many['peak_memory_bytes'] / 1e9:.2f} GB")]
+           "a patch of itself": _on_ranks(str(wide / layout.SCENE_FILE), patch, out / "patch", ranks, launcher)}
+    lines = [(f"cells of {domain['cell_size']}, {count_text(ranks, 'rank')}: wide-100k {many['particles']:,} "
+              f"particles, {many['wall_s']:.0f} s, {many['peak_memory_bytes'] / 1e9:.2f} GB")]
     for name, small in few.items():
         lines.append(f"  against {name} ({small['particles']:,} particles, {small['wall_s']:.0f} s):")
         for key, what in (("active_cell_steps", "cell-steps"), ("wall_s", "wall time")):

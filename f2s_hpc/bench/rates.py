@@ -15,7 +15,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from f2s_hpc import places
-from f2s_hpc._jit import cache_directory, source_hash
+from f2s_hpc._cache import cache_directory, source_hash
 from f2s_hpc.bench import crowd, states
 from f2s_hpc.bench.hook import EXCHANGE, hooked
 from f2s_hpc.bench.trial import typical
@@ -237,17 +237,23 @@ def read_rates(path: str | os.PathLike) -> Rates:
 def rates_for(scene: Scene, plan: BatchPlan, path: str | None, say: Callable[[str], None] = lambda text: None) -> Rates:
     """Return the rates of the file ``path`` if it is there, else of the cache, else measured now and kept.
 
-    What another version of the code kept is measured anew. Raises ``InputError`` if ``path`` is no file of rates.
+    What another version of the code kept is measured anew. Raises ``InputError`` if ``path`` is no file of rates, or
+    cannot be written; a cache that cannot is told by ``say``.
     """
     place = pathlib.Path(path) if path else cache_file(scene)
-    if places.kind(place) != places.NOTHING:
-        try:
+    try:
+        if places.kind(place) != places.NOTHING:
             return read_rates(place)
-        except InputError:
-            if path:
-                raise
+    except InputError:
+        if path:
+            raise
     if path:
         places.check_file(place, "--rates")
     rates = calibrate(scene, plan, say)
-    write_rates(place, rates)
+    try:
+        write_rates(place, rates)
+    except InputError as error:
+        if path:
+            raise
+        say(f"note: the rates are not kept, and will be measured again ({error}); --rates FILE keeps them elsewhere")
     return rates

@@ -1,23 +1,33 @@
-"""Strong and weak scaling: real runs on more and more ranks, their table, CSV, JSON and a plot of the efficiency."""
+"""Strong and weak scaling: real runs on more and more ranks, their table, CSV, JSON and a plot of the efficiency.
+
+The scripts in ``jobs/`` start the runs themselves and make the table of what these left (``rows_of_folder``).
+"""
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import math
 import pathlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+from f2s_hpc import places
 from f2s_hpc.bench import launch
 from f2s_hpc.config import load_scene
 from f2s_hpc.config.schema import Scene
-from f2s_hpc.errors import InputError
-from f2s_hpc.io import runs
+from f2s_hpc.errors import F2SError, InputError
+from f2s_hpc.grid.box import Box
+from f2s_hpc.grid.decomposition import process_grid
 
 COLUMNS = ("kind", "ranks", "cells", "steps", "step_s", "busy_s", "cell_steps_per_s_per_core", "imbalance",
-           "efficiency", "busy_efficiency")
+           "efficiency", "busy_efficiency", "memory_per_rank_bytes")
+NEEDED = ("ranks", "cells", "steps", "active_cell_steps", "imbalance", "peak_memory_bytes")
+TIMES = "times.json"
 QUIET = ("cycles.count=1", "output.frames=none", "output.checkpoints=false", "output.picture=false")
 
 
@@ -36,28 +46,66 @@ def weak_settings(scene: Scene, ranks: int) -> list[str]:
     return [f"domain.size=[{size}]", f"batches.particles={scene.batches.particles * ranks}"]
 
 
-def command_of(scene: str, overrides: Sequence[str], duration: str, ranks: int, folder: pathlib.Path,
-               launcher: str) -> list[str]:
-    """Return the command of one run of the study: ``launcher`` N f2s run ..., one short cycle and no output."""
-    settings = [*overrides, *QUIET, f"cycles.duration={duration}", f"cycles.last_duration={duration}"]
-    run = [sys.executable, "-m", "f2s_hpc.cli.timed_run", "run", scene, "--out",
-           str(folder)]
-    return [*shlex.split(launcher), str(ranks), *run, *(word for s in settings for word in ("--set", s))]
+@dataclass(frozen=True)
+class Run:
+    """One run of a study: ``command`` leaves its summary and times in ``folder``."""
+
+    kind: str
+    command: tuple[str, ...]
+    folder: pathlib.Path
 
 
-def measure(command: Sequence[str], folder: pathlib.Path) -> dict:
-    """Run one command and return its summary with the times that it took; raises ``F2SError`` if it fails."""
-    launch.run(command, f"{shlex.join(command[:3])} ...")
-    times = json.loads((folder / "times.json").read_text(encoding="utf-8"))
-    return runs.read_summary(folder) | times
+def _run(kind: str, scene: str, overrides: Sequence[str], duration: str, ranks: int, out: pathlib.Path,
+         launcher: str) -> Run:
+    """Return the run: ``launcher`` N f2s run ..., one short cycle and no output. Raises ``InputError``."""
+    more = weak_settings(load_scene(scene, overrides), ranks) if kind == "weak" else []
+    settings = [*overrides, *more, *QUIET, f"cycles.duration={duration}", f"cycles.last_duration={duration}"]
+    domain = load_scene(scene, settings).domain
+    process_grid(Box(domain.cells, domain.cell_size), ranks)
+    folder = out / f"{kind}-{ranks}"
+    command = (sys.executable, "-m", "f2s_hpc.cli.timed_run", "run", scene, "--out", str(folder),
+               *(word for s in settings for word in ("--set", s)))
+    return Run(kind, tuple(launch.on_ranks(launcher, ranks, command)), folder)
 
 
-def _row(kind: str, found: dict) -> dict:
+def planned(kinds: Sequence[str], scene: str, overrides: Sequence[str], duration: str, ranks: Sequence[int],
+            out: pathlib.Path, launcher: str) -> list[Run]:
+    """Return the runs of the studies ``kinds`` (strong, weak), a run per number of ranks in each.
+
+    Raises ``InputError`` for what would end one of them: a wrong scene, a box that cannot be cut into so many parts.
+    """
+    return [_run(kind, scene, overrides, duration, count, out, launcher) for kind in kinds for count in ranks]
+
+
+def row_of(kind: str, folder: pathlib.Path) -> dict:
+    """Return the row of a run that :mod:`f2s_hpc.cli.timed_run` left in ``folder``, without its efficiency.
+
+    Raises ``F2SError`` if it is not complete.
+    """
+    found = launch.finished(folder, NEEDED)
+    try:
+        found |= json.loads((folder / TIMES).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise F2SError(f"{folder / TIMES}: cannot be read ({error})") from None
     per_step = found["active_cell_steps"] / found["steps"]
     return {"kind": kind, "ranks": found["ranks"], "cells": found["cells"], "steps": found["steps"],
             "step_s": found["step_s"], "busy_s": found["busy_s"],
             "cell_steps_per_s_per_core": per_step / found["step_s"] / found["ranks"], "imbalance": found["imbalance"],
-            "active_cells": per_step}
+            "memory_per_rank_bytes": found["peak_memory_bytes"] / found["ranks"], "active_cells": per_step}
+
+
+def rows_of_folder(kind: str, out: pathlib.Path) -> list[dict]:
+    """Return the rows, with their efficiency, of the complete runs in ``out/ranks-*``, by ranks.
+
+    Raises ``F2SError`` if there is none.
+    """
+    rows = []
+    for place in out.glob("ranks-*"):
+        with contextlib.suppress(F2SError):
+            rows.append(row_of(kind, place))
+    if not rows:
+        raise F2SError(f"{out}: holds no complete run with its times in ranks-*")
+    return with_efficiency(sorted(rows, key=lambda row: row["ranks"]))
 
 
 def with_efficiency(rows: Sequence[dict]) -> list[dict]:
@@ -72,53 +120,47 @@ def with_efficiency(rows: Sequence[dict]) -> list[dict]:
              "busy_efficiency": rate(row, "busy_s") / rate(rows[0], "busy_s")} for row in rows]
 
 
-def study(kind: str, scene: str, overrides: Sequence[str], duration: str, ranks: Sequence[int], out: pathlib.Path,
-          launcher: str, say=print) -> list[dict]:
-    """Run the study ``kind`` (strong, weak) in the new folder ``out``; return a row per number of ranks.
+def study(runs: Sequence[Run], out: pathlib.Path, say: Callable[[str], None] = print) -> list[dict]:
+    """Run the planned ``runs`` in the new folder ``out``; return a row each, with its efficiency.
 
-    Raises ``InputError`` for a wrong scene or folder, ``F2SError`` for a run that failed.
+    What is there after each run is printed and written at once. Raises ``InputError`` before the first run if a folder
+    is there already or ``out`` cannot be written, ``F2SError`` for a run that failed.
     """
-    rows = []
-    for count, command in zip(ranks, _commands(kind, scene, overrides, duration, ranks, out, launcher)):
-        folder = out / f"{kind}-{count}"
-        if folder.exists():
-            raise InputError(f"{folder}: is there already; name a new folder with --out")
-        say(shlex.join(command))
-        rows.append(_row(kind, measure(command, folder)))
-    return with_efficiency(rows)
-
-
-def _commands(kind: str, scene: str, overrides: Sequence[str], duration: str, ranks: Sequence[int], out: pathlib.Path,
-              launcher: str) -> list[list[str]]:
-    loaded = load_scene(scene, overrides)
-    return [command_of(scene, [*overrides, *(weak_settings(loaded, count) if kind == "weak" else [])], duration, count,
-                       out / f"{kind}-{count}", launcher) for count in ranks]
-
-
-def commands(kind: str, scene: str, overrides: Sequence[str], duration: str, ranks: Sequence[int], out: pathlib.Path,
-             launcher: str) -> list[str]:
-    """Return the commands that :func:`study` would run, as lines of a shell."""
-    return [shlex.join(words) for words in _commands(kind, scene, overrides, duration, ranks, out, launcher)]
+    for run in runs:
+        if run.folder.exists():
+            raise InputError(f"{run.folder}: is there already; name a new folder with --out")
+    places.check_folder(out, "--out")
+    found: dict[str, list[dict]] = {run.kind: [] for run in runs}
+    for run in runs:
+        say(shlex.join(run.command))
+        launch.run(run.command, f"{shlex.join(run.command[:3])} ...")
+        found[run.kind].append(row_of(run.kind, run.folder))
+        rows = [row for mine in found.values() for row in with_efficiency(mine)]
+        write(rows, out)
+        say(table(with_efficiency(found[run.kind])[-1:]))
+    return rows
 
 
 def table(rows: Sequence[dict]) -> str:
     """Return the rows as a table."""
     lines = [(f"{'kind':7s} {'ranks':>5} {'cells':>12} {'steps':>6} {'ms/step':>9} {'busy ms':>9} {'M/s/core':>9} "
-              f"{'imbalance':>10} {'efficiency':>11} {'busy only':>10}")]
+              f"{'imbalance':>10} {'efficiency':>11} {'busy only':>10} {'MiB/rank':>9}")]
     lines += [(f"{r['kind']:7s} {r['ranks']:5d} {r['cells']:12,} {r['steps']:6d} {1e3 * r['step_s']:9.2f} "
                f"{1e3 * r['busy_s']:9.2f} {1e-6 * r['cell_steps_per_s_per_core']:9.3f} {r['imbalance']:10.3f} "
-               f"{r['efficiency']:11.1%} {r['busy_efficiency']:10.1%}") for r in rows]
+               f"{r['efficiency']:11.1%} {r['busy_efficiency']:10.1%} "
+               f"{r['memory_per_rank_bytes'] / 2**20:9.0f}") for r in rows]
     return "\n".join(lines)
 
 
 def write(rows: Sequence[dict], out: pathlib.Path) -> list[pathlib.Path]:
     """Write ``scaling.csv``, ``scaling.json`` and ``scaling.png`` into ``out``; return their places."""
-    out.mkdir(parents=True, exist_ok=True)
-    with open(out / "scaling.csv", "w", newline="", encoding="ascii") as file:
-        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(rows)
-    (out / "scaling.json").write_text(json.dumps(list(rows), indent=1) + "\n", encoding="utf-8")
+    places.make_folder(out, "--out")
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows(rows)
+    places.write_text(out / "scaling.csv", text.getvalue(), newline="")
+    places.write_text(out / "scaling.json", json.dumps(list(rows), indent=1) + "\n")
     draw(rows, out / "scaling.png")
     return [out / f"scaling.{ending}" for ending in ("csv", "json", "png")]
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from f2s_hpc.bench import launch
 from f2s_hpc.config import load_scene
 from f2s_hpc.errors import F2SError
-from f2s_hpc.io import runs
 
 SCENES = {"recurring": "section4", "standard": "section4-standard"}
 
@@ -20,6 +19,8 @@ PAPER = {"cells": (2_737_800, 9_579_712), "startup_s": (51 * 60, 393 * 60), "sta
 RESULTS = {"dense_height_m": 1e6, "height_mean_m": 1e6, "height_p95_m": 1e6, "peeq_p50": 1.0, "peeq_p95": 1.0,
            "temperature_p50_degC": 1.0, "temperature_p95_degC": 1.0}
 
+NEEDED = ("ranks", "cells", "startup_s", "wall_s", "startup_memory_bytes", "peak_memory_bytes", *RESULTS)
+
 LAYER = "0.2 mm"
 """Height that a batch may have to fit into the layers of both scenes."""
 
@@ -27,13 +28,16 @@ LAYER = "0.2 mm"
 def batch_files(out: pathlib.Path) -> list[str]:
     """Write the generated batches of the recurring scene below ``out``, unless they are there; return their files.
 
-    Both schemes read them. Raises ``F2SError`` if they can not be made.
+    Both schemes read them. Raises ``F2SError`` if they can not be made, or only a part of them is there.
     """
-    folder = out / "batches"
+    folder, wanted = out / "batches", load_scene(SCENES["recurring"]).batches.count
     if not folder.exists():
         launch.run(launch.f2s("particles", SCENES["recurring"], "--out", str(folder),
                               settings=[f"domain.particle_layer_height={LAYER}"]), "making the batches")
-    return sorted(str(path) for path in folder.glob("*.csv"))
+    files = sorted(str(path) for path in folder.glob("batch-*.csv"))
+    if len(files) != wanted:
+        raise F2SError(f"{folder}: holds {len(files)} batches of {wanted}; remove it, and they are made anew")
+    return files
 
 
 def particles_of(scheme: str, files: Sequence[str]) -> list[str]:
@@ -61,9 +65,7 @@ def measure(scheme: str, files: Sequence[str], overrides: Sequence[str], ranks: 
         command = command_of(scheme, files, overrides, ranks, folder, launcher)
         say(shlex.join(command))
         launch.run(command, f"the run of the {scheme} scheme", quiet=False)
-    summary = runs.read_summary(folder)
-    if summary["status"] != "complete":
-        raise F2SError(f"{folder}: the run is {summary['status']}, not complete")
+    summary = launch.finished(folder, NEEDED)
     summary["executing_s"] = max(summary["wall_s"] - summary["startup_s"], 0.0)
     summary["total_s"] = summary["startup_s"] + summary["executing_s"]
     return summary

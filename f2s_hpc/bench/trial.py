@@ -21,6 +21,7 @@ import numpy as np
 
 from f2s_hpc import mpi
 from f2s_hpc.bench.hook import Stopwatches, waiting
+from f2s_hpc.bench.launch import reason
 from f2s_hpc.build import build_ledger, build_model, build_state
 from f2s_hpc.config.describe import estimated_time_step
 from f2s_hpc.config.dump import dump_scene
@@ -31,6 +32,7 @@ from f2s_hpc.doctor import launch_environment
 from f2s_hpc.errors import F2SError
 from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.solver.step import Clock, advance
+from f2s_hpc.units import count_text
 from f2s_hpc.workload.balance import balance_of_run
 from f2s_hpc.workload.predict import Network, Rates, predict
 
@@ -75,17 +77,35 @@ def measure(scene: Scene, duration: float) -> dict:
             "wall_s": typical(wall[first:]), "steps": clock.steps, "active_cells": active / clock.steps}
 
 
+def _mpirun() -> str:
+    mpirun = shutil.which("mpirun")
+    if mpirun is None:
+        raise F2SError("plan --check needs mpirun on PATH")
+    return mpirun
+
+
+def _start_of(scene: Scene, duration: float | None) -> tuple[Scene, float]:
+    """Return the scene of the trial runs and their simulated time (s), ``STEPS`` steps if ``duration`` is None."""
+    duration = STEPS * estimated_time_step(scene) if duration is None else duration
+    return parse_scene(dump_scene(scene), "plan --check", [
+        "cycles.count=1", f"cycles.duration={duration!r} s", f"cycles.last_duration={duration!r} s",
+        "particles.flight=eulerian"]), duration
+
+
+def ready(scene: Scene, duration: float | None) -> None:
+    """Raise ``F2SError`` for what would keep :func:`compare` from its runs; to be called before rates are measured."""
+    _start_of(scene, duration)
+    _mpirun()
+
+
 def _launch(path: pathlib.Path, duration: float, ranks: int) -> dict:
     command = [sys.executable, "-m", "f2s_hpc.bench.trial", str(path), repr(duration)]
     if ranks > 1:
-        mpirun = shutil.which("mpirun")
-        if mpirun is None:
-            raise F2SError("plan --check needs mpirun on PATH")
-        command = [mpirun, "-n", str(ranks), *command]
+        command = [_mpirun(), "-n", str(ranks), *command]
     done = subprocess.run(command, env=launch_environment(os.environ), capture_output=True, text=True, check=False,
                           stdin=subprocess.DEVNULL)
     if done.returncode:
-        raise F2SError(f"the trial run on {ranks} ranks failed: {(done.stderr.strip() or 'no word').splitlines()[-1]}")
+        raise F2SError(f"the trial run on {count_text(ranks, 'rank')} failed: {reason(done.stderr)}")
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
@@ -96,10 +116,7 @@ def compare(scene: Scene, plan: BatchPlan, rates: Rates, network: Network, ranks
     ``duration``: simulated time (s), 40 steps if None. The particles are painted at once: in ballistic flight the start
     of a run would be a substrate at rest. Starts processes of its own; raises ``F2SError``.
     """
-    duration = duration or STEPS * estimated_time_step(scene)
-    short = parse_scene(dump_scene(scene), "plan", ["cycles.count=1", f"cycles.duration={duration!r} s",
-                                                    f"cycles.last_duration={duration!r} s",
-                                                    "particles.flight=eulerian"])
+    short, duration = _start_of(scene, duration)
     predicted = predict(short, BatchPlan(plan.batches, plan.order[:1]), ranks, rates, network)
     rows = []
     with tempfile.TemporaryDirectory() as folder:

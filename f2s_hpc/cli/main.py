@@ -68,7 +68,8 @@ def _parser() -> argparse.ArgumentParser:
     scene_arguments(command("check", "validate a scene and say what running it will take"))
     sub = command("plan", "predict time, memory and efficiency of a scene on any number of ranks")
     scene_arguments(sub)
-    sub.add_argument("--ranks", default="1,2,4,16,64", metavar="N[,N..]", help="numbers of ranks (1,2,4,16,64)")
+    sub.add_argument("--ranks", metavar="N[,N..]",
+                     help="numbers of ranks (those of 1,2,4,16,64 into which the box can be cut)")
     sub.add_argument("--rates", metavar="FILE",
                      help="measured rates of the step; if FILE is not there they are measured and written to it")
     sub.add_argument("--latency", default="2 us", metavar="TIME", help='of a message between ranks ("2 us")')

@@ -9,14 +9,22 @@ from f2s_hpc import mpi, places, units
 from f2s_hpc.bench import rates as measured
 from f2s_hpc.bench import trial
 from f2s_hpc.config import load_scene
+from f2s_hpc.config.schema import Scene
 from f2s_hpc.errors import InputError
+from f2s_hpc.grid.box import Box
+from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.workload import predict
 
 MOST_RANKS = 4096
+DEFAULT_RANKS = (1, 2, 4, 16, 64)
+CHECKED_RANKS = (1, 2)
+"""Numbers of ranks that ``--check`` starts."""
 
 
-def _ranks(text: str) -> list[int]:
+def _ranks(text: str | None) -> list[int] | None:
+    if text is None:
+        return None
     try:
         ranks = [int(part) for part in text.split(",")]
     except ValueError:
@@ -25,6 +33,41 @@ def _ranks(text: str) -> list[int]:
         raise InputError(f"f2s plan: --ranks {text}: whole numbers from 1 to {MOST_RANKS:,}, separated by commas, "
                          "are needed")
     return ranks
+
+
+def _fitting(scene: Scene, ranks: list[int] | None, checked: bool) -> list[int]:
+    """Return the numbers of ranks to plan for: those asked for, or those of the default into which the box can be cut.
+
+    Raises ``InputError`` if one that was asked for, or that ``--check`` starts, does not fit. Called before the rates
+    are measured, which takes its time.
+    """
+    box, wanted = Box(scene.domain.cells, scene.domain.cell_size), DEFAULT_RANKS if ranks is None else ranks
+    found, left_out = [], []
+    for count in dict.fromkeys(wanted):
+        try:
+            process_grid(box, count)
+            found.append(count)
+        except InputError:
+            if ranks is not None:
+                raise
+            left_out.append(count)
+    if checked:
+        for count in CHECKED_RANKS:
+            process_grid(box, count)
+    if left_out:
+        print(f"note: the box is too small for {', '.join(map(str, left_out))} ranks; left out")
+    return found
+
+
+def _check_time(parsed: argparse.Namespace) -> float | None:
+    if parsed.check_time is None:
+        return None
+    if not parsed.check:
+        raise InputError("f2s plan: --check-time says how long --check runs; give --check too")
+    duration = _time("--check-time", parsed.check_time)
+    if not 0.0 < duration < float("inf"):
+        raise InputError(f"f2s plan: --check-time {parsed.check_time}: it must be above 0")
+    return duration
 
 
 def _time(option: str, text: str) -> float:
@@ -42,10 +85,13 @@ def run(parsed: argparse.Namespace) -> int:
     latency = _time("--latency", parsed.latency)
     if not (latency >= 0.0 and 0.0 < parsed.bandwidth < float("inf")):
         raise InputError("f2s plan: --latency must not be negative and --bandwidth must be above 0")
-    duration = _time("--check-time", parsed.check_time) if parsed.check_time else None
+    duration = _check_time(parsed)
     if parsed.json:
         places.check_file(parsed.json, "--json")
     scene = load_scene(parsed.scene, parsed.overrides)
+    ranks = _fitting(scene, ranks, parsed.check)
+    if parsed.check:
+        trial.ready(scene, duration)
     plan = make_batches(scene)
     network = predict.Network(latency, 1e9 * parsed.bandwidth)
     rates = measured.rates_for(scene, plan, parsed.rates, print)
@@ -58,7 +104,7 @@ def run(parsed: argparse.Namespace) -> int:
           "reduction per step")
     found = predict.predict(scene, plan, ranks, rates, network)
     print(predict.table(found))
-    rows = trial.compare(scene, plan, rates, network, (1, 2), duration) if parsed.check else []
+    rows = trial.compare(scene, plan, rates, network, CHECKED_RANKS, duration) if parsed.check else []
     if rows:
         print(trial.comparison(rows))
     if parsed.json:

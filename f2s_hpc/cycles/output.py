@@ -60,9 +60,10 @@ class RunFolder:
         self.scene = scene
 
     def provenance(self) -> dict:
-        """Return what every file should say about its origin."""
-        return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **versions(), "scene_hash": scene_hash(self.scene),
-                "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
+        """Return what every file should say about its origin; rank 0 alone looks it up, all know it."""
+        return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **mpi.run_together(versions),
+                "scene_hash": scene_hash(self.scene), "scene": dump_scene(self.scene), "host": platform.node(),
+                "ranks": mpi.size()}
 
     def write_other_cycles(self, plan: BatchPlan | None) -> None:
         """Write the scene anew for a run whose number of cycles changes, and its batches where it has a new ``plan``.
