@@ -30,8 +30,8 @@ class Particles(Section):
     speed_per_diameter: SpeedPerDiameter | None = Field(
         default=None, description="growth of the speed with the diameter beyond speed_diameter, 1/s")
     speed_diameter: PositiveLength | None = Field(
-        default=None, examples=["20 um"], description="diameter of the particles that speed and speed_curvature are "
-                                                      "meant for, m")
+        default=None, examples=["20 um"],
+        description="diameter of the particles that speed and speed_curvature are meant for, m")
     lateral_velocity: Velocity | None = Field(
         default=None, examples=["2 m/s"], description="velocity along x on the jet's axis, m/s")
     lateral_slope: SpeedSlope | None = Field(
