@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from petsc4py import PETSc
-
+from f2s_hpc.grid import petsc
 from f2s_hpc.phases import PHASES
 
 
@@ -14,9 +13,10 @@ def stages() -> Callable[[int], None] | None:
 
     To be called by all ranks, which must know the same stages. Until the first call the first phase is under way.
     """
-    if not PETSc.Log.isActive():
+    log = petsc.load().Log
+    if not log.isActive():
         return None
-    known = [PETSc.Log.Stage(name) for name in PHASES]
+    known = [log.Stage(name) for name in PHASES]
     present = 0
     known[present].push()
 
