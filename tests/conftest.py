@@ -203,3 +203,13 @@ def run_f2s(tmp_path: pathlib.Path) -> Callable[..., subprocess.CompletedProcess
         return launch([*F2S, *map(str, args)], ranks, cwd or tmp_path, timeout, environment)
 
     return run
+
+
+@pytest.fixture
+def project(tmp_path: pathlib.Path) -> pathlib.Path:
+    """Return a copy of the scripts with an empty ``.venv/bin``, to be filled with stand-ins of the commands."""
+    for folder in ("scripts", "jobs", ".ci"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    return tmp_path
