@@ -52,6 +52,9 @@ def draw_case(rows: Rows, path: pathlib.Path, title: str, subtitle: str) -> bool
     figure = _figure((7.2, 4.8))
     axes = figure.add_axes((0.1, 0.125, 0.55, 0.71))
     _draw(axes, lines, across == "wall_s", across, up)
+    if across == "resolution":
+        marks = sorted({p[across] for points in lines.values() for p in points})
+        axes.set_xticks(marks, labels=[f"{mark:g}" for mark in marks])
     axes.set_xlabel("wall time (s)" if across == "wall_s" else "resolution (cells, or what the case's text says)",
                     color=_INK)
     axes.set_ylabel(up, color=_INK)
