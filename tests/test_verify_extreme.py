@@ -52,6 +52,7 @@ def test_a_scene_of_the_matrix_that_is_refused_has_failed(monkeypatch):
     """Each is written so that it can run. Fails when a refusal counts as passed, as it does for random scenes."""
     monkeypatch.setattr(special, "TASKS", (("task", lambda name, text, full, numerics: special.rest(
         name, text, full, ("numerics.courant=3",))),))
+    assert all(parse_scene(scene.text, scene.name, scene.overrides) for scene in BY_NAME.values())
     wrong = extreme.Extreme("wrong", extreme.impact(), ("numerics.courant=1.5",), quick=True)
     monkeypatch.setattr(extreme, "matrix", lambda: [wrong])
     outcomes = extreme.run()
@@ -280,7 +281,7 @@ def test_velocity_that_is_not_a_number_is_not_taken_for_rest():
 @pytest.mark.mpi
 def test_mass_is_looked_at_where_nothing_was_put_in():
     """A substrate at rest loses 1e-9 of its mass; fails when the drift is over what was painted, which is nothing."""
-    setup = make_block((8, 8, 8), make_model(3e-6))
+    setup = make_block((16, 8, 8), make_model(3e-6))
     eye = watch.Watch(setup, 0.0)
     eye.look()
     spoil_mass(setup.state)
