@@ -7,6 +7,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from f2s_hpc.units import count_text
+
 _HEAD = ("quantity", "cells", "dx", "value", "reference", "error", "order", "bar", "verdict", "steps", "cell-steps",
          "wall s")
 _VERDICT = {True: "met", False: "MISSED", None: "-"}
@@ -47,7 +49,7 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     asked = [row for row in rows if row["passed"] is not None]
     told = f"{_met(asked)} bars met" if asked else NOTHING
     skipped = sum(row["quantity"].startswith("skipped: ") for row in rows)
-    told += f", {skipped} resolutions skipped: too small a box for so many ranks" if skipped else ""
+    told += f", {count_text(skipped, 'resolution')} skipped: too small a box for so many ranks" if skipped else ""
     table = _aligned(("case", "bars met", "least margin", "wall s"), lines, left=(0, 2))
     return f"{table}\n{told}"
 
