@@ -18,6 +18,10 @@ class InputError(F2SError):
     exit_code = 2
 
 
+class TooManyRanks(InputError):
+    """A box that is too small to be shared by the ranks of this run."""
+
+
 class CheckpointError(F2SError):
     """A checkpoint that is missing, damaged, or does not belong to this scene."""
 

@@ -11,7 +11,7 @@ from f2s_hpc.build import build_ledger, build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
-from f2s_hpc.fields import VELOCITY
+from f2s_hpc.fields import STRESS, VELOCITY
 from f2s_hpc.grid.box import SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition
 from f2s_hpc.particles.batch import Batch, clipped_volume
@@ -136,6 +136,20 @@ def test_speed_is_the_norm_of_the_mean_nodal_velocity(state, rng):
     wanted = np.where(state.owned("mass") > 0.0, wanted, 0.0)
     model = build_model(parse_scene(SCENE, "test"))
     assert np.allclose(measure.derived_field(state, model, "speed"), wanted, rtol=1e-13, atol=1e-15)
+
+
+def test_von_mises_stress_is_that_of_the_whole_tensor(state, rng):
+    """Random deviators, against sqrt(3/2 s:s) of their matrices; fails when shear counts once: ``1.0 * shear``."""
+    xx, yy, xy, yz, xz = (rng.normal(size=CELLS[::-1]) for _ in range(5))
+    parts = {(0, 0): xx, (1, 1): yy, (2, 2): -xx - yy, (0, 1): xy, (1, 2): yz, (0, 2): xz}
+    tensor = np.zeros((*CELLS[::-1], 3, 3))
+    for (a, b), values in parts.items():
+        tensor[..., a, b] = tensor[..., b, a] = values
+    for name, values in zip(STRESS, parts.values()):
+        put(state, name, values)
+    model = build_model(parse_scene(SCENE, "test"))
+    wanted = mine(state, np.sqrt(1.5 * np.einsum("...ab,...ab", tensor, tensor)))
+    assert np.allclose(measure.derived_field(state, model, "von_mises"), wanted, rtol=1e-13, atol=0.0)
 
 
 def test_only_what_has_landed_above_the_substrate_counts(state, rng):

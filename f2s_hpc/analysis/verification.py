@@ -7,10 +7,13 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from f2s_hpc.units import count_text
+
 _HEAD = ("quantity", "cells", "dx", "value", "reference", "error", "order", "bar", "verdict", "steps", "cell-steps",
          "wall s")
 _VERDICT = {True: "met", False: "MISSED", None: "-"}
 _WIDEST = 60
+NOTHING = "nothing judged"
 
 
 def case_table(name: str, text: str, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -34,17 +37,26 @@ def case_table(name: str, text: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a line per case (bars met, the bar with the least margin, wall time) and ``N of M bars met``."""
+    """Return a line per case (bars met, the bar with the least margin, wall time) and ``N of M bars met``.
+
+    Where there is no bar at all, nothing is judged, which is not met.
+    """
     lines = []
     for case in dict.fromkeys(row["case"] for row in rows):
         mine = [row for row in rows if row["case"] == case]
         asked = [row for row in mine if row["passed"] is not None]
-        met = sum(row["passed"] for row in asked)
-        lines.append((case, f"{met} of {len(asked)}", _tightest(asked), f"{_wall(mine):.1f}"))
+        lines.append((case, _met(asked), _tightest(asked), f"{_wall(mine):.1f}"))
     asked = [row for row in rows if row["passed"] is not None]
-    met = sum(row["passed"] for row in asked)
+    told = f"{_met(asked)} bars met" if asked else NOTHING
+    skipped = sum(row["quantity"].startswith("skipped: ") for row in rows)
+    told += f", {count_text(skipped, 'resolution')} skipped: too small a box for so many ranks" if skipped else ""
     table = _aligned(("case", "bars met", "least margin", "wall s"), lines, left=(0, 2))
-    return f"{table}\n{met} of {len(asked)} bars met"
+    return f"{table}\n{told}"
+
+
+def _met(asked: Sequence[Mapping[str, Any]]) -> str:
+    """Say how many of the rows with a verdict have met theirs."""
+    return f"{sum(row['passed'] for row in asked)} of {len(asked)}" if asked else NOTHING
 
 
 def _wall(rows: Sequence[Mapping[str, Any]]) -> float:

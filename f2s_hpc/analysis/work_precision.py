@@ -38,18 +38,26 @@ def curves(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
 def draw_case(rows: Rows, path: pathlib.Path, title: str, subtitle: str) -> bool:
     """Draw error against wall time of one case, a curve per quantity that compares (the first eight); PNG at ``path``.
 
-    ``rows``: mappings with quantity, resolution, error, bar, wall_s, compares. The points of the highest curve carry
-    their cells; bars stand as a dotted line or as dashes (:func:`_draw_bars`). Returns False, and writes nothing, if no
-    quantity makes a curve.
+    ``rows``: mappings with quantity, resolution, value, reference, error, bar, wall_s, compares. The points of the
+    highest curve carry their cells; bars stand as a dotted line or as dashes (:func:`_draw_bars`). Where no quantity
+    makes a curve, errors or values over the resolution (:func:`_over_resolution`). Returns False, and writes nothing,
+    if no row has a number that is finite.
     """
-    lines = curves(rows)
+    lines, across, up = curves(rows), "wall_s", "error"
+    if not lines:
+        across = "resolution"
+        lines, up = _over_resolution(rows)
     if not lines:
         return False
     figure = _figure((7.2, 4.8))
     axes = figure.add_axes((0.1, 0.125, 0.55, 0.71))
-    _draw(axes, lines, marks=True)
-    axes.set_xlabel("wall time (s)", color=_INK)
-    axes.set_ylabel("error", color=_INK)
+    _draw(axes, lines, across == "wall_s", across, up)
+    if across == "resolution":
+        marks = sorted({p[across] for points in lines.values() for p in points})
+        axes.set_xticks(marks, labels=[f"{mark:g}" for mark in marks])
+    axes.set_xlabel("wall time (s)" if across == "wall_s" else "resolution (cells, or what the case's text says)",
+                    color=_INK)
+    axes.set_ylabel(up, color=_INK)
     figure.legend(*axes.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.665, 0.845), frameon=False,
                   fontsize=8.5, labelcolor=_INK, handlelength=1.8)
     figure.text(0.02, 0.965, title, fontsize=12, fontweight="bold", color=_INK, va="top", parse_math=False)
@@ -57,6 +65,27 @@ def draw_case(rows: Rows, path: pathlib.Path, title: str, subtitle: str) -> bool
                 parse_math=False)
     save(figure, path, "plot")
     return True
+
+
+def _over_resolution(rows: Rows) -> tuple[dict[str, list[Mapping[str, Any]]], str]:
+    """Return, per quantity, the rows to draw over the resolution, and whether their "error" or "value" is to be drawn.
+
+    What more quantities have: an error above round-off, or a value that nothing is compared with. Quantities with one
+    point only are left out if others have more.
+    """
+    def grouped(chosen: Rows) -> dict[str, list[Mapping[str, Any]]]:
+        found: dict[str, list[Mapping[str, Any]]] = {}
+        for row in chosen:
+            if math.isfinite(row["resolution"]):
+                found.setdefault(row["quantity"], []).append(row)
+        return {q: points for q, points in found.items() if len(points) > 1} or found
+
+    values = [row for row in rows if math.isfinite(row["value"])]
+    errors = grouped([row for row in rows if _ROUND_OFF < row["error"] < math.inf])
+    shown = grouped([row for row in values if row["reference"] is None])
+    if len(errors) >= max(len(shown), 1):
+        return errors, "error"
+    return shown or grouped(values), "value"
 
 
 def draw_overview(rows: Rows, path: pathlib.Path) -> bool:
@@ -98,15 +127,22 @@ def _figure(size: tuple[float, float]) -> Any:
     return figure
 
 
-def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool) -> None:
-    """Draw curves and bars; ``marks``: write the cells at the points of the curve that ends highest."""
+def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool, across: str = "wall_s",
+          up: str = "error") -> None:
+    """Draw curves and bars; ``marks``: write the cells at the points of the curve that ends highest.
+
+    ``across``, ``up``: the numbers of the rows on the axes.
+    """
     shown = dict(list(lines.items())[:_MOST_CURVES])
     for number, (quantity, points) in enumerate(shown.items()):
-        walls, errors = [p["wall_s"] for p in points], [p["error"] for p in points]
+        walls, errors = [p[across] for p in points], [p[up] for p in points]
         colour = _COLOURS[number]
         axes.loglog(walls, errors, color=colour, marker=_MARKERS[number], markersize=4.5, linewidth=1.3,
                     label="\n".join(textwrap.wrap(quantity, 30)), clip_on=False, zorder=3)
-    _draw_bars(axes, shown)
+    if up == "error":
+        _draw_bars(axes, shown, across)
+    elif any(p[up] <= 0.0 for points in shown.values() for p in points):
+        axes.set_yscale("linear")
     if marks:
         highest = max(shown.values(), key=lambda points: points[-1]["error"])
         for p in highest:
@@ -115,10 +151,10 @@ def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool) 
     _dress(axes)
 
 
-def _draw_bars(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]]) -> None:
+def _draw_bars(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], across: str = "wall_s") -> None:
     """Draw the bars: a dotted line where one holds for every point shown, else a dash at each point it is asked of."""
     bars = [p["bar"] for points in lines.values() for p in points]
-    asked = [(p["wall_s"], p["bar"]) for points in lines.values() for p in points if p["bar"]]
+    asked = [(p[across], p["bar"]) for points in lines.values() for p in points if p["bar"]]
     if not asked:
         return
     style = {"color": _INK, "linewidth": 1.0, "label": "bar", "zorder": 2}
@@ -132,7 +168,7 @@ def _dress(axes: Any) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.margins(0.08, 0.12)
-    for axis in (axes.xaxis, axes.yaxis):
+    for axis in (axis for axis in (axes.xaxis, axes.yaxis) if axis.get_scale() == "log"):
         low, high = sorted(axis.get_view_interval())
         decades = math.log10(high / low) if low > 0.0 else 2.0
         axis.set_major_locator(LogLocator(10.0, subs=(1.0,) if decades > 1.7 else (1.0, 2.0, 5.0), numticks=12))

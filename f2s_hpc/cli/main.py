@@ -115,7 +115,7 @@ def _verify_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--extreme", action="store_true",
                      help="instead of the cases: extreme scenes and random ones, each with a verdict")
     sub.add_argument("--fuzz", metavar="N", type=int, help="number of random scenes of --extreme (8; 300 with --full)")
-    sub.add_argument("--seed", metavar="N", type=int, default=1, help="seed of the random scenes (1)")
+    sub.add_argument("--seed", metavar="N", type=int, help="seed of the random scenes of --extreme (1)")
     sub.add_argument("--levers", action="store_true",
                      help="instead of the cases: what leaving out saves, and what it changes")
 
@@ -212,11 +212,14 @@ def _verify(arguments: argparse.Namespace) -> int:
         raise InputError("f2s verify: --extreme or --levers, one after the other, not both")
     if arguments.fuzz is not None and (arguments.fuzz < 0 or not arguments.extreme):
         raise InputError("f2s verify: --fuzz N goes with --extreme, N at least 0")
+    if arguments.seed is not None and (arguments.seed < 0 or not arguments.extreme):
+        raise InputError("f2s verify: --seed N goes with --extreme, N at least 0")
     if arguments.extreme or arguments.levers:
         from f2s_hpc.verify import reports
         if arguments.levers:
             return reports.savings(arguments.full, arguments.overrides, arguments.json)
-        return reports.stability(arguments.full, arguments.overrides, arguments.fuzz, arguments.seed, arguments.json)
+        seed = 1 if arguments.seed is None else arguments.seed
+        return reports.stability(arguments.full, arguments.overrides, arguments.fuzz, seed, arguments.json)
     return suite.verify(arguments.cases, arguments.overrides, arguments.full, arguments.out, arguments.json)
 
 

@@ -177,12 +177,11 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
 
 def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> dict:
     """Return the mass balance (kg, relative to the painted mass) and the energy ledger (J)."""
+    missing, painted = missing_quanta(state, model, ledger, substrate_quanta)
     totals = ledger.totals()
     area = part_area(state)
     now = material_quanta(state, model)
-    painted = totals["mass_painted"]
     lent = totals["mass_lent"]
-    missing = painted + substrate_quanta - totals["mass_left"] - totals["mass_capped"] - lent - now
     kilogram = model.mass_quantum * model.cell_mass
     kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
     energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
@@ -202,6 +201,17 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
         "numerical_loss_unheated_fraction": unheated / brought if brought else 0.0, "energy": energy,
         "nodes_capped": totals["nodes_capped"],
     }
+
+
+def missing_quanta(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> tuple[int, int]:
+    """Return the mass that nothing accounts for, and what was painted, in quanta of the ledger. Collective.
+
+    What was painted and the substrate either are in the box, have left, or were counted as capped or lent.
+    """
+    totals = ledger.totals()
+    out = totals["mass_left"] + totals["mass_capped"] + totals["mass_lent"]
+    painted = totals["mass_painted"]
+    return painted + substrate_quanta - out - material_quanta(state, model), painted
 
 
 def part_area(state: State) -> float:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.errors import InputError
+from f2s_hpc.errors import InputError, TooManyRanks
 from f2s_hpc.grid import petsc
 from f2s_hpc.grid.box import GHOST, Box, Part
 from f2s_hpc.grid.pages import trim_heap
@@ -27,7 +27,7 @@ def process_grid(box: Box, ranks: int) -> tuple[int, int, int]:
     """Return the number of ranks along x, y, z with the smallest ghost surface.
 
     z is cut only when x and y can not give slabs as thick as the ghost width, since columns carry
-    the deposit and a cut in z leaves the upper rank idle. Raises ``InputError`` if no split fits.
+    the deposit and a cut in z leaves the upper rank idle. Raises ``TooManyRanks`` if no split fits.
     """
     best = None
     for px in range(1, ranks + 1):
@@ -43,8 +43,8 @@ def process_grid(box: Box, ranks: int) -> tuple[int, int, int]:
             if best is None or rating < best[0]:
                 best = (rating, shape)
     if best is None:
-        raise InputError(f"a box of {' x '.join(map(str, box.cells))} cells can not be cut into {ranks} blocks of at "
-                         f"least {GHOST} cells a side; use fewer ranks or smaller cells")
+        raise TooManyRanks(f"a box of {' x '.join(map(str, box.cells))} cells can not be cut into {ranks} blocks of at "
+                           f"least {GHOST} cells a side; use fewer ranks or smaller cells")
     return best[1]
 
 

@@ -18,7 +18,7 @@ from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.grid import petsc
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Decomposition, GhostMap
-from f2s_hpc.grid.pages import anonymous_pages, give_back
+from f2s_hpc.grid.pages import anonymous_pages, give_back, real_bytes
 from f2s_hpc.phases import phase
 
 if TYPE_CHECKING:
@@ -74,6 +74,10 @@ class Pool:
         shape = self._shape(part, name)
         start = self.offsets[name]
         return self.memory[start:start + int(np.prod(shape))].reshape(shape)
+
+    def real_bytes(self) -> int:
+        """Return the memory that the fields of this rank really take now (bytes)."""
+        return real_bytes(self.memory)
 
     def release(self, names: Iterable[str]) -> None:
         """Give the memory of the named fields back until they are written again; what they hold is lost."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import os
 from collections.abc import Sequence
 
 import numpy as np
 
 _PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+
+
+_SWAPPED, _EXCLUSIVE = np.uint64(1 << 62), np.uint64(1 << 56)
+"""Bits of an entry of /proc/self/pagemap: a page that is swapped out, and one that only this process has."""
 
 
 def anonymous_pages(count: int) -> mmap.mmap:
@@ -34,6 +39,22 @@ def give_back(pages: mmap.mmap, start: int, end: int) -> None:
     length = end // mmap.PAGESIZE * mmap.PAGESIZE - first
     if length > 0 and hasattr(mmap, "MADV_DONTNEED"):
         pages.madvise(mmap.MADV_DONTNEED, first, length)
+
+
+def real_bytes(array: np.ndarray) -> int:
+    """Return how many bytes of the pages of ``array`` (C order) this process really has, swapped out or not.
+
+    Pages that were only read are not. Linux (``/proc/self/pagemap``); elsewhere all that the array spans.
+    """
+    first = array.ctypes.data // mmap.PAGESIZE
+    count = -(-(array.ctypes.data + array.nbytes) // mmap.PAGESIZE) - first
+    try:
+        with open("/proc/self/pagemap", "rb", buffering=0) as file:
+            entries = np.frombuffer(os.pread(file.fileno(), 8 * count, 8 * first), dtype=np.uint64)
+    except OSError:
+        return array.nbytes
+    own = (entries & (_SWAPPED | _EXCLUSIVE)) != 0
+    return int(own.sum()) * mmap.PAGESIZE if entries.size == count else array.nbytes
 
 
 def trim_heap() -> None:

@@ -17,7 +17,7 @@ from f2s_hpc.solver.model import Model
 from f2s_hpc.verify import lagrangian
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.impact import ADIABATIC, JOHNSON_COOK, PLACES, impact_of, places_of, settings_of
+from f2s_hpc.verify.impact import ADIABATIC, JOHNSON_COOK, PLACES, check_scenes, impact_of, places_of, settings_of
 from f2s_hpc.verify.lagrangian import Solution
 from f2s_hpc.verify.splat import Impact, Splat, mean_splat, splats
 
@@ -38,6 +38,11 @@ def _model(impact: Impact, options: Options) -> Model:
     if not isinstance(model.eos, LinearPressure):
         raise InputError(f"--set material={impact.material}: the Lagrangian solution knows linear pressure only")
     return model
+
+
+def _check(options: Options) -> None:
+    _model(impact_of(options), options)
+    check_scenes(options)
 
 
 def _numbers(impact: Impact, found: Solution | Splat) -> dict[str, float]:
@@ -82,8 +87,8 @@ def run(options: Options) -> Iterator[Measured]:
                        abs(result.peeq_p95 / fine.peeq_p95 - 1.0), compares=False, **result.cost)
 
 
-_ON_BLOCK, _UNITS = settings_of(dataclasses.replace(JOHNSON_COOK, speed=300.0))
-_AT_MIRROR, _ = settings_of(dataclasses.replace(JOHNSON_COOK, speed=200.0, duration=60e-9, half_width=1.25, depth=0.0))
+_ON_BLOCK = settings_of(dataclasses.replace(JOHNSON_COOK, speed=300.0))
+_AT_MIRROR = settings_of(dataclasses.replace(JOHNSON_COOK, speed=200.0, duration=60e-9, half_width=1.25, depth=0.0))
 
 CASES = (
     Case("impact-lagrangian",
@@ -91,9 +96,9 @@ CASES = (
          "width (second moments), mean PEEQ and crater depth on the axis against an axisymmetric Lagrangian solution "
          "that is computed beside it and tells its own error. Mean over places of the surface between two faces of the "
          "cells.",
-         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _ON_BLOCK | PLACES, _UNITS),
+         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _ON_BLOCK | PLACES, 2, check=_check),
     Case("sphere-mirror",
          "25 um copper sphere into its mirror image at 200 m/s, Johnson-Cook, adiabatic, 60 ns: height, width and mean "
          "PEEQ against the same Lagrangian solution.",
-         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _AT_MIRROR, _UNITS),
+         run, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _AT_MIRROR, 2, check=_check),
 )

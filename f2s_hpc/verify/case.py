@@ -12,10 +12,11 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from f2s_hpc import units
 from f2s_hpc.errors import InputError
+from f2s_hpc.verify.setting import Setting
 
-SCENE_SECTIONS = ("numerics.", "material.")
+MATERIAL = "material."
+SCENE_SECTIONS = ("numerics.", MATERIAL)
 """Sections of a scene whose keys every case takes."""
 
 
@@ -52,13 +53,17 @@ class Row:
     passed: bool | None
 
 
+def _nothing_to_check(options: Options) -> None:
+    """Take any options."""
+
+
 @dataclass(frozen=True)
 class Case:
     """A verification case.
 
-    ``settings``: name -> default as text, with its unit if it has one ("20 m/s", "0.5"); ``dimensions``: dimension (a
-    key of ``units.DIMENSIONS``) of those that have one. ``quick``, ``full``: resolutions, coarse to fine. ``text`` says
-    what is compared with what, and the source.
+    ``quick``, ``full``: resolutions, coarse to fine; ``least``: the coarsest that it can do, ``fewest``: how many it
+    needs, ``whole``: only whole ones. ``check`` raises ``InputError`` for options that it can not run with, before
+    anything runs. ``text`` says what is compared with what, and the source.
     """
 
     name: str
@@ -66,8 +71,11 @@ class Case:
     run: Callable[[Options], Iterator[Measured]]
     quick: tuple[float, ...]
     full: tuple[float, ...]
-    settings: dict[str, str] = field(default_factory=dict)
-    dimensions: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, Setting] = field(default_factory=dict)
+    least: float = 1.0
+    fewest: int = 1
+    whole: bool = False
+    check: Callable[[Options], None] = _nothing_to_check
 
     def takes(self, override: str) -> bool:
         """Tell whether ``override`` ("name=value") names a setting of this case."""
@@ -80,67 +88,76 @@ class Case:
 
         Raises ``InputError`` naming the setting and what would be right.
         """
-        texts, levels, numerics = dict(self.settings), self.full if full else self.quick, []
+        values = {name: setting.read(name, setting.default) for name, setting in self.settings.items()}
+        defaults, levels, scene = dict(values), self.full if full else self.quick, []
         for override in overrides:
             name, equals, text = override.partition("=")
             name, text = name.strip(), text.strip().strip("\"'")
             if not equals:
                 raise InputError(f"--set {override}: write it as NAME=VALUE")
             if name.startswith(SCENE_SECTIONS):
-                numerics.append(override)
+                scene.append(override)
             elif name == "resolutions":
-                levels = _resolutions(text)
-            elif name in texts:
-                texts[name] = text
+                levels = self._resolutions(text)
+            elif name in values:
+                values[name] = self.settings[name].read(name, text)
             else:
-                known = ", ".join([*texts, "resolutions", "numerics.KEY", "material.KEY"])
+                known = ", ".join([*values, "resolutions", "numerics.KEY", "material.KEY"])
                 raise InputError(f'--set {override}: case "{self.name}" has no setting "{name}" (it has {known})')
-        return Options(full, tuple(levels), {name: self._value(name, text) for name, text in texts.items()},
-                       tuple(numerics))
+        changed = frozenset(name for name, value in values.items() if value != defaults[name])
+        return Options(full, tuple(levels), values, tuple(scene), changed)
 
-    def _value(self, name: str, text: str) -> float | str:
-        dimension = self.dimensions.get(name)
-        if dimension is not None:
-            try:
-                return units.parse(text, dimension)
-            except units.UnitError as error:
-                raise InputError(f"--set {name}: {error}") from None
+    def _resolutions(self, text: str) -> tuple[float, ...]:
         try:
-            return float(text)
+            levels = tuple(float(part) for part in text.split(","))
         except ValueError:
-            return text
-
-
-def _resolutions(text: str) -> tuple[float, ...]:
-    try:
-        levels = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        levels = ()
-    positive = all(0.0 < level < math.inf for level in levels)  # (NaN is neither above nor below)
-    if not levels or not positive or any(b <= a for a, b in itertools.pairwise(levels)):
-        raise InputError(f'--set resolutions={text}: write rising numbers with commas, for example "8,12,16"')
-    return levels
+            levels = ()
+        possible = all(0.0 < level < math.inf for level in levels)  # (NaN is neither above nor below)
+        if not levels or not possible or any(b <= a for a, b in itertools.pairwise(levels)):
+            raise InputError(f'--set resolutions={text}: write rising numbers with commas, for example "8,12,16"')
+        if levels[0] < self.least:
+            raise InputError(f"--set resolutions={text}: {self.name} needs {self.least:g} or more, not {levels[0]:g}")
+        broken = [level for level in levels if self.whole and level != round(level)]
+        if broken:
+            raise InputError(f"--set resolutions={text}: {self.name} needs whole numbers, not {broken[0]:g}")
+        if len(levels) < self.fewest:
+            raise InputError(f"--set resolutions={text}: {self.name} needs {self.fewest} resolutions or more")
+        return levels
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of one run of a case: full or quick size, resolutions coarse to fine, settings in SI, scene overrides."""
+    """Options of one run of a case: full or quick size, resolutions coarse to fine, settings in SI, scene overrides.
+
+    ``changed``: the settings that have another value than their default.
+    """
 
     full: bool
     levels: tuple[float, ...]
     values: dict[str, float | str]
     numerics: tuple[str, ...] = ()  # "numerics.KEY=value", "material.KEY=value", as f2s run --set takes them
+    changed: frozenset[str] = frozenset()
 
     def __getitem__(self, name: str) -> float | str:
         return self.values[name]
 
+    def as_published(self, *free: str) -> bool:
+        """Tell whether this is the problem that a published reference is of: all settings but the ``free`` ones are the
+        case's own, and no constant of its material is replaced. Numerics may be: they are what is judged.
+        """
+        return self.changed <= set(free) and not any(o.strip().startswith(MATERIAL) for o in self.numerics)
+
 
 def judged(case: str, measured: list[Measured]) -> list[Row]:
-    """Return the rows of a case: observed orders between neighbouring resolutions, and verdicts."""
+    """Return the rows of a case: observed orders between neighbouring resolutions, and verdicts.
+
+    Where a bar or an order is asked for, a value or an error that is not finite has missed it.
+    """
     rows, last = [], {}
     for m in measured:
         before, order = last.get(m.quantity), None
-        if before is not None and m.compares and m.error > 0.0 and before.error > 0.0 and m.dx_m != before.dx_m:
+        if before is not None and m.compares and 0.0 < m.error < math.inf and 0.0 < before.error < math.inf and (
+                m.dx_m != before.dx_m):
             order = math.log(before.error / m.error) / math.log(before.dx_m / m.dx_m)
         last[m.quantity] = m
         checks = []
@@ -148,7 +165,8 @@ def judged(case: str, measured: list[Measured]) -> list[Row]:
             checks.append(bool(m.error <= m.bar))
         if m.least_order is not None:
             checks.append(order is not None and order >= m.least_order)
-        rows.append(Row(case, m, order, all(checks) if checks else None))
+        finite = math.isfinite(m.value) and math.isfinite(m.error)
+        rows.append(Row(case, m, order, finite and all(checks) if checks else None))
     return rows
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,12 +11,17 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.verify import energy
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
 from f2s_hpc.verify.scenes import cell_steps, prepare, run_cycles
+from f2s_hpc.verify.setting import WHOLE, Setting
 
 LENGTH = 30e-6
 """Characteristic length (m), the paper's D50: resolutions 5, 7.5 and 10 are cells of 6, 4 and 3 um."""
+
+RESOLVED = 5.0
+"""Cells per 30 um from which on there are bars; coarser meshes show the way there."""
 
 _ZERO_CELSIUS = 273.15
 _SECTION4_FOOTPRINT = 0.35e-3
@@ -28,7 +34,7 @@ _LOSS_BARS = ((3e-6, 0.12), (4e-6, 0.20), (6e-6, 0.30))
 def deposit_temperature(setup: Setup, scene: Scene) -> float:
     """Return the mean temperature (degC), weighted by mass, of what has landed above the substrate's top.
 
-    Landed is what has in the cycle table, in cells at least half full.
+    Landed is what has in the cycle table, in cells at least half full; NaN where nothing has.
     """
     state = setup.state
     landed = measure.landed_cells(state, setup.model, scene.top_speed)
@@ -36,25 +42,32 @@ def deposit_temperature(setup: Setup, scene: Scene) -> float:
     mass = state.owned("mass")[deposit]
     local = np.array([mass.sum(), mass @ state.owned("temperature")[deposit]])
     whole, heat = sum(mpi.all_gather(local))
-    return float(heat / whole) - _ZERO_CELSIUS
+    return float(heat / whole) - _ZERO_CELSIUS if whole > 0.0 else math.nan
 
 
-def patch_scene(options: Options, dx: float, footprint: float) -> Scene:
-    """Return the scene "quickstart" on a square of ``footprint`` (m), as many particles per area, without its files."""
+def footprint_of(options: Options) -> float:
+    """Return the edge of the square patch (m): as given, or that of the size of the run."""
+    given = options["footprint"]
+    return (_QUICKSTART_FOOTPRINT if options.full else 60e-6) if given == "default" else given
+
+
+def patch_scene(options: Options, dx: float) -> Scene:
+    """Return the scene "quickstart" on a square patch, as many particles per area, without its files."""
+    footprint = footprint_of(options)
     particles = round(_QUICKSTART_PARTICLES * (footprint / _QUICKSTART_FOOTPRINT) ** 2)
     return load_scene("quickstart", [
         f"domain.cell_size={dx!r} m", f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.3 mm"]',
-        f"batches.particles={particles}", f"cycles.count={int(options['cycles'])}",
+        f"batches.particles={particles}", f"cycles.count={options['cycles']}",
         f"particles.speed={options['speed']!r} m/s", f"particles.temperature={options['temperature']!r} K",
-        f"batches.seed={int(options['seed'])}", *options.numerics])
+        f"batches.seed={options['seed']}", *options.numerics])
 
 
 def section4_scene(options: Options, dx: float) -> Scene:
     """Return the scene "section4", or for quick sizes a corner: two cycles, a lower box, no particle above 60 um."""
-    cycles = (10 if options.full else 2) if options["cycles"] == "default" else int(options["cycles"])
+    cycles = (10 if options.full else 2) if options["cycles"] == "default" else options["cycles"]
     overrides = [f"domain.cell_size={dx!r} m", f"cycles.count={cycles}"]
     if not options.full:
-        footprint = 72e-6  # whole cells of 6, 4 and 3 um
+        footprint = 72e-6  # whole cells of 8, 6, 4 and 3 um
         particles = round(_SECTION4_PARTICLES * (footprint / _SECTION4_FOOTPRINT) ** 2)
         overrides += [f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.4 mm"]', f"batches.particles={particles}",
                       "batches.diameter_max=60 um"]
@@ -69,24 +82,41 @@ def _deposited(scene: Scene) -> tuple[Setup, int]:
     return setup, substrate_quanta
 
 
+def check_patch(options: Options) -> None:
+    """Raise ``InputError`` if the patch is not possible with one of the cells."""
+    for level in options.levels:
+        mpi.run_together(patch_scene, options, LENGTH / level)
+
+
+def check_section4(options: Options) -> None:
+    """Raise ``InputError`` if the scene is not possible with one of the cells."""
+    for level in options.levels:
+        mpi.run_together(section4_scene, options, LENGTH / level)
+
+
 def run_patch(options: Options) -> Iterator[Measured]:
     """Yield the mean temperature of the deposit on each mesh, and its spread over them."""
-    footprint = options["footprint"] if options.full else min(options["footprint"], 60e-6)
     found: list[float] = []
     for level in options.levels:
         watch, dx = Stopwatch(), LENGTH / level
-        scene = mpi.run_together(patch_scene, options, dx, footprint)
+        scene = mpi.run_together(patch_scene, options, dx)
         setup, substrate_quanta = _deposited(scene)
         found.append(deposit_temperature(setup, scene))
         balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
         cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
-        yield Measured("mean deposit temperature, degC", level, dx, found[-1], None, 0.0, compares=False, **cost)
-        energy = balance["energy"]
+        # (the bar is that there is a deposit at all)
+        yield Measured("mean deposit temperature, degC", level, dx, found[-1], None, 0.0,
+                       None if math.isfinite(found[-1]) else 0.0, compares=False, **cost)
+        terms = balance["energy"]
         for quantity, value in (("numerical loss", balance["numerical_loss_fraction"]),
-                                ("heat / impact energy", energy["heat"] / energy["brought_in"])):
+                                ("heat / impact energy", terms["heat"] / terms["brought_in"])):
             yield Measured(quantity, level, dx, value, None, 0.0, compares=False, **cost)
-    spread = (max(found) - min(found)) / (sum(found) / len(found))
-    yield Measured("spread of the mean temperature", level, dx, spread, 0.0, spread, 0.03, compares=False, **cost)
+        yield energy.row([balance], level, dx, cost | {"compares": False},
+                         bar=energy.BAR if level >= RESOLVED else None)
+    fine = [value for value, level in zip(found, options.levels) if level >= RESOLVED]
+    if len(fine) > 1:
+        spread = float(np.ptp(fine) / np.mean(fine))
+        yield Measured("spread of the mean temperature", level, dx, spread, 0.0, spread, 0.03, compares=False, **cost)
 
 
 def run_section4(options: Options) -> Iterator[Measured]:
@@ -96,14 +126,13 @@ def run_section4(options: Options) -> Iterator[Measured]:
         scene = mpi.run_together(section4_scene, options, dx)
         setup, substrate_quanta = _deposited(scene)
         balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
-        energy, loss = balance["energy"], balance["numerical_loss_fraction"]
+        loss = balance["numerical_loss_fraction"]
         cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
         bar = next((bar for largest, bar in _LOSS_BARS if dx <= largest * (1.0 + 1e-9)), None)
         yield Measured("numerical loss", level, dx, loss, 0.0, loss, bar, **cost)
         unheated = balance["numerical_loss_unheated_fraction"]
         yield Measured("not come back as heat", level, dx, unheated, 0.0, unheated, compares=False, **cost)
-        remainder = abs((energy["time_step"] + energy["remainder"]) / energy["brought_in"])
-        yield Measured("time step and remainder", level, dx, remainder, 0.0, remainder, 0.005, **cost)
+        yield energy.row([balance], level, dx, cost, bar=energy.BAR if level >= RESOLVED else None)
         drift = abs(balance["mass_drift_relative"])
         yield Measured("mass drift", level, dx, drift, 0.0, drift, 1e-10, compares=False, **cost)
 
@@ -112,12 +141,17 @@ CASES = (
     Case("section4",
          "Section 4 of Free2Spray (quick: two cycles on 72 x 72 um): share of the impact energy that no physical term "
          "received, error of the explicit step with the unexplained remainder, mass drift; resolutions are cells per "
-         "30 um (5: 6 um, 7.5: 4 um, 10: 3 um).",
-         run_section4, (5.0, 7.5), (5.0, 7.5, 10.0), {"cycles": "default"}),
+         "30 um (3.75: 8 um, 5: 6 um, 7.5: 4 um, 10: 3 um).",
+         run_section4, (3.75, 5.0, 7.5), (5.0, 7.5, 10.0),
+         {"cycles": Setting("default", kind=WHOLE, least=1, words=("default",))}, 2, check=check_section4),
     Case("deposit-temperature",
-         "Patch of the scene quickstart, three batches (quick: 60 x 60 um): mean deposit temperature in degC must not "
-         "hang on the mesh; (largest - smallest) / mean over the meshes; resolutions are cells per 30 um.",
-         run_patch, (5.0, 7.5), (5.0, 7.5, 10.0),
-         {"cycles": "3", "footprint": "0.12 mm", "speed": "615 m/s", "temperature": "450 degC", "seed": "1"},
-         {"footprint": "length", "speed": "speed", "temperature": "temperature"}),
+         "Patch of the scene quickstart, 0.12 x 0.12 mm (quick: 60 x 60 um), three batches: mean deposit temperature "
+         "in degC must not hang on the mesh; (largest - smallest) / mean over the meshes from 6 um on; resolutions "
+         "are cells per 30 um.",
+         run_patch, (4.0, 5.0, 7.5), (5.0, 7.5, 10.0),
+         {"cycles": Setting("3", kind=WHOLE, least=1),
+          "footprint": Setting("default", "length", least=24e-6, words=("default",)),
+          "speed": Setting("615 m/s", "speed"), "temperature": Setting("450 degC", "temperature"),
+          "seed": Setting("1", kind=WHOLE, least=0)},
+         2, check=check_patch),
 )

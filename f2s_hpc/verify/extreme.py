@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from f2s_hpc.config.load import parse_scene
+from f2s_hpc.errors import InputError, TooManyRanks
 from f2s_hpc.verify import special
-from f2s_hpc.verify.watch import Outcome, run_scene
+from f2s_hpc.verify.watch import FAILED, REFUSED, SMALL, Outcome, run_scene
 
 DIAMETER = 24e-6
 """Diameter of the spheres (m) where the scene does not say otherwise."""
@@ -163,17 +164,29 @@ def matrix() -> list[Extreme]:
             *_conduction()]
 
 
+def check(overrides: Sequence[str]) -> None:
+    """Raise ``InputError`` for an override that is no numerics, or a wrong one: the scenes say all the rest."""
+    for override in overrides:
+        if not override.strip().startswith("numerics."):
+            raise InputError(f"--set {override}: --extreme takes numerics.KEY=value only; the rest is what its scenes "
+                             "are about")
+    parse_scene(impact(), "extreme", overrides)
+
+
 def run(full: bool = False, numerics: Sequence[str] = (), only: str = "",
         report: Callable[[Outcome], None] = lambda outcome: None) -> list[Outcome]:
     """Run the matrix (``full``: all of it) and return the outcomes, the same on every rank. Collective.
 
     ``numerics``: "numerics.KEY=value" for every scene; ``only``: part of the names of the scenes wanted; ``report`` is
-    called with every outcome as it comes. Raises ``InputError`` if an override is wrong.
+    called with every outcome as it comes. Each scene is written so that it can run: one that is refused has failed.
+    Raises ``InputError`` if an override is wrong, or is none of the numerics.
     """
-    parse_scene(impact(), "extreme", numerics)
+    check(numerics)
     outcomes: list[Outcome] = []
 
     def add(outcome: Outcome) -> None:
+        if outcome.verdict == REFUSED:
+            outcome = replace(outcome, verdict=FAILED, reason=f"refused: {outcome.reason}")
         outcomes.append(outcome)
         report(outcome)
 
@@ -182,6 +195,11 @@ def run(full: bool = False, numerics: Sequence[str] = (), only: str = "",
             add(extreme.run(extreme.name, extreme.text, (*extreme.overrides, *numerics)))
     for name, task in special.TASKS:
         if only in name:
-            for outcome in task(name, impact(), full, tuple(numerics)):
-                add(outcome)
+            try:
+                for outcome in task(name, impact(), full, tuple(numerics)):
+                    add(outcome)
+            except TooManyRanks as error:
+                add(Outcome(name, SMALL, str(error)))
+            except InputError as error:
+                add(Outcome(name, REFUSED, str(error)))
     return outcomes

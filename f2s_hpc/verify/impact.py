@@ -23,8 +23,10 @@ import numpy as np
 
 from f2s_hpc.errors import InputError
 from f2s_hpc.solver.ledger import ENERGY_TERMS
+from f2s_hpc.verify import energy
 from f2s_hpc.verify.case import Case, Measured, Options
-from f2s_hpc.verify.splat import Impact, Splat, mean_splat, splat, splats
+from f2s_hpc.verify.setting import TEXT, WHOLE, Setting, material
+from f2s_hpc.verify.splat import Impact, Splat, mean_splat, splat, splat_scene, splats
 
 # speed (m/s): flattening, crater depth / D, particle PEEQ p95, particle temperature p95 (K)
 PUBLISHED = {
@@ -38,9 +40,19 @@ GE = Impact("copper-ge", 30e-6, 615.0, 723.15, 80e-9)
 
 ADIABATIC = "numerics.conduction=false"
 
-PLACES = {"places": "4"}
-"""Setting of the cases that take a mean over places of the surface between two faces of the cells."""
 MOST_PLACES = 32
+PLACES = {"places": Setting("4", kind=WHOLE, least=1, most=MOST_PLACES)}
+"""Setting of the cases that take a mean over places of the surface between two faces of the cells."""
+
+LEAST_CELLS = 8.0
+"""Cells per diameter from which on the energy that nothing explains has its bar, and numerical parts must fall."""
+
+HALVED = 2
+"""Resolutions, the coarsest of those, that the energy cases run with half the step too."""
+
+SMALL, _CANCELLED = 0.003, 1e-3
+"""Shares of the impact energy: below the first a numerical part may be above that of coarser cells, and where the error
+of the step is below the second with the whole and with half the step, it is not judged whether it falls."""
 
 NUMERICAL_TERMS = ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic")
 """Energy terms that no physical process takes; the work of the shock viscosity joins them where it is not heated."""
@@ -52,23 +64,25 @@ def impact_of(options: Options, **changed: float) -> Impact:
                   | changed)
 
 
-def settings_of(base: Impact, **changed: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Return settings and dimensions of a case that varies ``base``."""
-    settings = {
-        "material": base.material, "diameter": f"{1e6 * base.diameter:g} um", "speed": f"{base.speed:g} m/s",
-        "temperature": f"{base.temperature:g} K", "duration": f"{1e9 * base.duration:g} ns",
-        "half_width": f"{base.half_width:g}", "depth": f"{base.depth:g}"}
-    dimensions = {"diameter": "length", "speed": "speed", "temperature": "temperature", "duration": "time"}
-    return settings | changed, dimensions
+def settings_of(base: Impact) -> dict[str, Setting]:
+    """Return the settings of a case that varies ``base``."""
+    return {
+        "material": material(base.material), "diameter": Setting(f"{1e6 * base.diameter:g} um", "length"),
+        "speed": Setting(f"{base.speed:g} m/s", "speed"),
+        "temperature": Setting(f"{base.temperature:g} K", "temperature"),
+        "duration": Setting(f"{1e9 * base.duration:g} ns", "time"),
+        "half_width": Setting(f"{base.half_width:g}", above=0.5), "depth": Setting(f"{base.depth:g}", least=0.0)}
 
 
 def places_of(options: Options) -> int:
-    """Return how many places a case takes the mean over: one if it has no such setting. Raises ``InputError``."""
-    places = options.values.get("places", 1.0)
-    if not isinstance(places, float) or places not in range(1, MOST_PLACES + 1):
-        raise InputError(f"--set places={places}: write how many places of the surface in a cell to take the mean "
-                         f"over, a whole number from 1 to {MOST_PLACES}")
-    return int(places)
+    """Return how many places a case takes the mean over: one if it has no such setting."""
+    return options.values.get("places", 1)
+
+
+def check_scenes(options: Options, **changed: float) -> None:
+    """Raise ``InputError`` if the scene of one of the resolutions is not possible; ``changed`` as in ``impact_of``."""
+    for level in options.levels:
+        splat_scene(impact_of(options, **changed), level, options.numerics)
 
 
 # --- against the published series -------------------------------------------------------------------------------
@@ -89,25 +103,44 @@ def _speeds(options: Options) -> list[float]:
     return speeds
 
 
+def check_published(options: Options) -> None:
+    """Raise ``InputError`` for other speeds than the published ones, or scenes that are not possible."""
+    for speed in _speeds(options):
+        check_scenes(options, speed=speed)
+
+
 def run_published(options: Options) -> Iterator[Measured]:
-    """Yield flattening, crater depth / D and particle PEEQ p95 at each published speed; temperature has no bar."""
+    """Yield flattening, crater depth / D and particle PEEQ p95 at each published speed; temperature has no bar.
+
+    Another material, size or temperature than the published one has no reference.
+    """
+    as_published = options.as_published("speeds", "places")
     for speed in _speeds(options):
         flattening, crater, peeq, temperature = PUBLISHED[speed]
         for level in options.levels:
             impact = impact_of(options, speed=speed)
-            result = mean_splat(splats(impact, level, (ADIABATIC, *options.numerics), places_of(options)))
+            runs = splats(impact, level, (ADIABATIC, *options.numerics), places_of(options))
+            result = mean_splat(runs)
             # the bar is for the published resolution; what is coarser shows the way there
             bar = 0.06 if level >= PUBLISHED_CELLS else None
-            for name, value, reference in (("flattening", result.flattening(PUBLISHED_CELLS), flattening),
-                                           ("crater depth / D", result.crater / options["diameter"], crater),
-                                           ("PEEQ p95", result.peeqvavg_p95, peeq)):
-                yield Measured(f"{name}, {speed:g} m/s", level, result.dx, value, reference,
-                               abs(value / reference - 1.0), bar, **result.cost)
-            rise, published = result.temperature_p95 - impact.temperature, temperature - ROOM
-            yield Measured(f"temperature rise p95, {speed:g} m/s", level, result.dx, rise, published,
-                           abs(rise / published - 1.0), compares=False, **result.cost)
+            rise = result.temperature_p95 - impact.temperature
+            for name, value, reference, asked in (
+                    ("flattening", result.flattening(PUBLISHED_CELLS), flattening, bar),
+                    ("crater depth / D", result.crater / options["diameter"], crater, bar),
+                    ("PEEQ p95", result.peeqvavg_p95, peeq, bar),
+                    ("temperature rise p95", rise, temperature - ROOM, None)):
+                compared = (reference, abs(value / reference - 1.0), asked) if as_published else (None, 0.0, None)
+                yield Measured(f"{name}, {speed:g} m/s", level, result.dx, value, *compared,
+                               compares=as_published and name != "temperature rise p95", **result.cost)
             yield Measured(f"PEEQ p95 of the material, {speed:g} m/s", level, result.dx, result.peeq_p95, None, 0.0,
                            compares=False, **result.cost)
+            yield _unexplained(runs, result, level, f", {speed:g} m/s")
+
+
+def _unexplained(runs: Sequence[Splat], result: Splat, level: float, of: str = "") -> Measured:
+    """Return the row of the energy that nothing explains in the worst of ``runs``; a bar from ``LEAST_CELLS`` on."""
+    return energy.row([run.balance for run in runs], level, result.dx, result.cost, of,
+                      energy.BAR if level >= LEAST_CELLS else None)
 
 
 # --- convergence ------------------------------------------------------------------------------------------------
@@ -170,12 +203,11 @@ def run_convergence(options: Options) -> Iterator[Measured]:
 
     The bar is on the order of the fit: errors against the finest run fall even where the values run away.
     """
-    if len(options.levels) < 3:
-        raise InputError("--set resolutions: convergence needs three resolutions or more")
     runs = [splats(impact_of(options), level, options.numerics, places_of(options)) for level in options.levels]
     results = [mean_splat(single) for single in runs]
     for single, mean, level in zip(runs, results, options.levels):
         yield from _scatters(single, mean, level)
+        yield _unexplained(single, mean, level)
     series = [_lengths(result, options["diameter"]) for result in results]
     for name in series[0]:
         finest = series[-1][name]
@@ -201,24 +233,38 @@ PAPER_DIAMETERS = {"D10": 19e-6, "D50": 30e-6, "D90": 52e-6}
 PAPER_CELLS = (4e-6, 3e-6)
 
 
-def run_paper_cells(options: Options) -> Iterator[Measured]:
-    """Yield the error of the paper's 4 um and 3 um cells for its D10, D50 and D90 particles, against finer cells.
-
-    ``options.levels``: cells per diameter of the finer run that serves as reference (the last one).
-    """
-    fine = options.levels[-1]
+def _paper_impacts(options: Options) -> Iterator[tuple[str, Impact, list[float]]]:
+    """Yield name, impact, and cells per diameter, coarse to fine: the paper's cells and those of the options."""
     for name, diameter in PAPER_DIAMETERS.items() if options.full else [("D10", PAPER_DIAMETERS["D10"])]:
         # a larger particle takes longer to come to rest, in proportion
         impact = impact_of(options, diameter=diameter, duration=options["duration"] * diameter / GE.diameter)
-        places = places_of(options)
-        reference = _lengths(mean_splat(splats(impact, fine, options.numerics, places)), diameter)
-        for dx in PAPER_CELLS:
-            runs = splats(impact, diameter / dx, options.numerics, places)
+        yield name, impact, sorted({*(diameter / dx for dx in PAPER_CELLS), *options.levels[:-1]})
+
+
+def check_paper_cells(options: Options) -> None:
+    """Raise ``InputError`` if one of the scenes is not possible."""
+    for _, impact, levels in _paper_impacts(options):
+        for level in (*levels, options.levels[-1]):
+            splat_scene(impact, level, options.numerics)
+
+
+def run_paper_cells(options: Options) -> Iterator[Measured]:
+    """Yield the error of the paper's 4 um and 3 um cells for its D10, D50 and D90 particles, against finer cells.
+
+    ``options.levels``: cells per diameter of the finer run that serves as reference (the last one), and of runs beside
+    those with the paper's cells.
+    """
+    fine, places = options.levels[-1], places_of(options)
+    for name, impact, levels in _paper_impacts(options):
+        reference = _lengths(mean_splat(splats(impact, fine, options.numerics, places)), impact.diameter)
+        for level in levels:
+            runs = splats(impact, level, options.numerics, places)
             result = mean_splat(runs)
-            for quantity, value in _lengths(result, diameter).items():
-                yield Measured(f"{quantity}, {name}", diameter / dx, result.dx, value, reference[quantity],
+            for quantity, value in _lengths(result, impact.diameter).items():
+                yield Measured(f"{quantity}, {name}", level, result.dx, value, reference[quantity],
                                abs(value / reference[quantity] - 1.0), **result.cost)
-            yield from _scatters(runs, result, diameter / dx, f", {name}")
+            yield from _scatters(runs, result, level, f", {name}")
+            yield _unexplained(runs, result, level, f", {name}")
 
 
 # --- energy -----------------------------------------------------------------------------------------------------
@@ -232,54 +278,48 @@ def _loss_bar(cells_per_diameter: float) -> float | None:
 
 def run_energy(options: Options) -> Iterator[Measured]:
     """Yield the shares of the impact energy: step and remainder, each numerical part, and the whole numerical loss."""
-    impact = impact_of(options)
+    impact, coarser = impact_of(options), {}
+    halved = [level for level in options.levels if level >= LEAST_CELLS][:HALVED]
     for level in options.levels:
         result = splat(impact, level, options.numerics)
-        yield from _shares(result, level)
-        if level == options.levels[0]:
+        share = {name: result.balance["energy"][name] / result.balance["energy"]["brought_in"]
+                 for name in ENERGY_TERMS}
+        yield from _shares(result, level, share, coarser)
+        coarser = share if level >= LEAST_CELLS else {}
+        if level in halved:
             yield from _remainder_falls(impact, result, level, options)
 
 
-def _shares(result: Splat, level: float) -> Iterator[Measured]:
-    energy = result.balance["energy"]
-    brought = energy["brought_in"]
-    share = {name: energy[name] / brought for name in ENERGY_TERMS}
-    unexplained = _unexplained(result)
-    yield Measured("time step and remainder", level, result.dx, unexplained, 0.0, abs(unexplained), 0.005,
-                   **result.cost)
+def _shares(result: Splat, level: float, share: dict[str, float], coarser: dict[str, float]) -> Iterator[Measured]:
+    yield _unexplained([result], result, level)
     for name in (*NUMERICAL_TERMS, "shock_viscosity", "plastic_work", "heat"):
         numerical = name in NUMERICAL_TERMS
+        # no numerical part may be above that of the coarser cells, unless both are small
+        bar = max(abs(coarser[name]), SMALL) if numerical and coarser else None
         yield Measured(name, level, result.dx, share[name], 0.0 if numerical else None,
-                       abs(share[name]) if numerical else 0.0, compares=numerical, **result.cost)
+                       abs(share[name]) if numerical else 0.0, bar, compares=numerical, **result.cost)
     loss = result.balance["numerical_loss_fraction"]
     yield Measured("numerical loss", level, result.dx, loss, 0.0, loss, _loss_bar(level), **result.cost)
 
 
 def _remainder_falls(impact: Impact, result: Splat, level: float, options: Options) -> Iterator[Measured]:
-    """Yield the remainder with half the Courant number over that with the whole one; it must be below one."""
+    """Yield the remainder with half the Courant number over that with the whole one; it must be below one.
+
+    Where the parts of either sign cancel to under a thousandth in both, a ratio says nothing and is not judged.
+    """
     limits = ("courant", "remap_courant", "strain_per_step", "strain_per_remap")
     halves = (f"numerics.{name}={0.5 * getattr(result.settings, name)!r}" for name in limits)
     halved = splat(impact, level, (*options.numerics, *halves))
-    before, after = abs(_unexplained(result)), abs(_unexplained(halved))
-    # where the parts of either sign cancel to under a thousandth, a ratio says nothing
-    ratio = after / max(before, _CANCELLED)
-    yield Measured("time step and remainder, half the step over whole", level, result.dx, ratio, None, ratio, 1.0,
-                   compares=False, **halved.cost)
+    before, after = (abs(energy.unexplained(run.balance)) for run in (result, halved))
+    ratio = after / before if before else math.inf if after else 0.0
+    judged = max(before, after) > _CANCELLED
+    yield Measured(f"{energy.QUANTITY}, half the step over whole", level, result.dx, ratio, None, ratio,
+                   1.0 if judged else None, compares=False, **halved.cost)
 
 
-def _unexplained(result: Splat) -> float:
-    """Share of the impact energy that neither physics nor a loss in space explains: error of the step and remainder."""
-    energy = result.balance["energy"]
-    return (energy["time_step"] + energy["remainder"]) / energy["brought_in"]
-
-
-_CANCELLED = 1e-3
-
-
-_JC, _UNITS = settings_of(JOHNSON_COOK)
-_GE, _ = settings_of(GE)
-_SERIES = {name: text for name, text in _JC.items() if name != "speed"} | {"speeds": "default"} | PLACES
-_SERIES_UNITS = {name: unit for name, unit in _UNITS.items() if name != "speed"}
+_JC, _GE = settings_of(JOHNSON_COOK), settings_of(GE)
+_SERIES = {name: s for name, s in _JC.items() if name != "speed"} | {"speeds": Setting("default", kind=TEXT)} | PLACES
+_LEAST = 2.0
 
 CASES = (
     Case("impact-jc",
@@ -287,25 +327,27 @@ CASES = (
          "flattening (second-moment height), crater depth / D on the axis and 95th percentile of PEEQ (averaged over "
          "cells, as there), against Abaqus CEL with 24 cells per diameter; adiabatic. Mean over places of the surface "
          "between two faces of the cells.",
-         run_published, (8.0, 12.0), (12.0, 18.0, 24.0), _SERIES, _SERIES_UNITS),
+         run_published, (6.0, 8.0, 12.0), (12.0, 18.0, 24.0), _SERIES, _LEAST, check=check_published),
     Case("impact-ge",
          "30 um copper sphere at 615 m/s and 450 degC on copper, Ge model: width and height (second moments) and PEEQ "
          "p95 of the particle, against the finest run; limit and order of the fit f0 + C dx^p over all resolutions. "
          "Means over places of the surface between two faces of the cells, and how far single places are from them. "
          "The bar is on that order: 0.5 or more (error: what is missing). A fit at an edge of its range, -2 to 4, is "
          "missed.",
-         run_convergence, (6.0, 8.0, 12.0), (6.0, 8.0, 12.0, 16.0, 24.0), _GE | PLACES, _UNITS),
+         run_convergence, (6.0, 8.0, 12.0), (6.0, 8.0, 12.0, 16.0, 24.0), _GE | PLACES, _LEAST, 3,
+         check=check_scenes),
     Case("impact-paper-cells",
          "Copper spheres of the paper's D10, D50 and D90 at 615 m/s and 450 degC, Ge model, with the paper's own cells "
-         "of 4 and 3 um: error of width, height and PEEQ p95 against runs with the stated cells per diameter, of means "
-         "over places of the surface in a cell, and how far single places are from them.",
-         run_paper_cells, (12.0,), (24.0,), {n: t for n, t in _GE.items() if n != "diameter"} | PLACES,
-         {n: u for n, u in _UNITS.items() if n != "diameter"}),
+         "of 4 and 3 um, and the stated cells per diameter: error of width, height and PEEQ p95 against the finest of "
+         "these, of means over places of the surface in a cell, and how far single places are from them.",
+         run_paper_cells, (8.0, 12.0), (16.0, 24.0), {n: s for n, s in _GE.items() if n != "diameter"} | PLACES,
+         _LEAST, check=check_paper_cells),
     Case("energy-jc",
          "Energy of the 25 um Johnson-Cook sphere at 520 m/s, in shares of the impact energy: error of the explicit "
-         "step with the remainder that no term explains, each numerical part, and the whole numerical loss.",
-         run_energy, (8.0, 12.0), (8.0, 12.0, 18.0, 24.0), _JC, _UNITS),
+         "step with the remainder that no term explains (with half the step too), each numerical part, which from 8 "
+         "cells on must not be above that of the coarser mesh or 0.3 %, and the whole numerical loss.",
+         run_energy, (6.0, 8.0, 12.0), (8.0, 12.0, 18.0, 24.0), _JC, _LEAST, check=check_scenes),
     Case("energy-ge",
          "Energy of the 30 um Ge-model sphere at 615 m/s and 450 degC, in shares of the impact energy, likewise.",
-         run_energy, (8.0, 12.0), (8.0, 12.0, 18.0, 24.0), _GE, _UNITS),
+         run_energy, (6.0, 8.0, 12.0), (8.0, 12.0, 18.0, 24.0), _GE, _LEAST, check=check_scenes),
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -63,7 +62,8 @@ LEVERS: tuple[Lever, ...] = (
 class Saving:
     """What a lever saves and what it changes against the full computation, the same scene.
 
-    ``time``, ``memory``: over those of the full computation. Changes of heights (m) and PEEQ are absolute, of
+    ``memory_bytes``: of the fields, pages that are real at the end. ``time``, ``memory``: over those of the full
+    computation. Changes of heights (m) and PEEQ are absolute, of
     temperatures in K; None where nothing has landed. ``fraction_change``: sum over all cells of how much the volume
     fraction changed, over the sum of the volume fraction; None where the boxes differ.
     """
@@ -93,24 +93,15 @@ class _Measured:
     fraction: np.ndarray
 
 
-def resident_memory() -> int:
-    """Return the memory of this rank that is resident now (bytes). Linux; elsewhere its largest value so far."""
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return measure.peak_memory()
-
-
 def _compute(scene: Scene) -> _Measured:
     """Run a scene to its end without looking at it. Collective."""
     gc.collect()
-    before, stopwatch = resident_memory(), Stopwatch()
+    stopwatch = Stopwatch()
     setup, plan = prepare(scene)
     run_cycles(scene, plan, setup, setup.advance_to)
     mpi.barrier()
     wall = float(mpi.broadcast(stopwatch.read()))
-    memory = sum(mpi.all_gather(max(resident_memory() - before, 0)))
+    memory = sum(mpi.all_gather(setup.state.pool.real_bytes()))
     row = measure.measure_material(setup.state, setup.model, scene.domain.substrate_height, scene.top_speed)
     return _Measured(wall, memory, setup, row, setup.state.owned("volume_fraction").copy())
 

@@ -29,6 +29,7 @@ from f2s_hpc.verify.box import (
     warm_up,
 )
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
+from f2s_hpc.verify.setting import TEXT, Setting, material
 
 THIN = 3
 DIRECTIONS = ((0.0, 0.0, -1.0), (1.0, 1.0, -1.0), (1.0, 0.0, 0.0), (1.0, 2.0, 3.0))
@@ -55,9 +56,13 @@ def _directions(text: float | str, number: int, full: bool) -> list[np.ndarray]:
             chosen = [np.array([float(part) for part in str(text).split(",")])]
         except ValueError:
             chosen = []
-        if not chosen or chosen[0].size != 3 or not np.linalg.norm(chosen[0]) > 0.0:
+        if not chosen or chosen[0].size != 3 or not 0.0 < np.linalg.norm(chosen[0]) < math.inf:
             raise InputError(f'--set direction={text}: write "all", or three numbers as in "1,2,-3"')
     return [d / np.linalg.norm(d) for d in chosen]
+
+
+def _check_direction(options: Options) -> None:
+    _directions(options["direction"], 0, options.full)
 
 
 def _fly(model: Model, direction: np.ndarray, diameter: float, options: Options) -> tuple[Setup, np.ndarray]:
@@ -81,14 +86,15 @@ def _fly(model: Model, direction: np.ndarray, diameter: float, options: Options)
     limit = flow_stress(model.flow, 0.0, 0.0, temperature)[0]
     after = sample.sums([state.owned("mass").sum()])[0]
     changes = [
-        max(np.abs(state.owned(n)[heavy] - v).max(initial=0.0) for n, v in zip(VELOCITY, velocity)) / options["speed"],
-        max(np.abs(state.owned(n)).max(initial=0.0) for n in STRESS) / limit,
+        np.max([np.abs(state.owned(n)[heavy] - v).max(initial=0.0) for n, v in zip(VELOCITY, velocity)])
+        / options["speed"],
+        np.max([np.abs(state.owned(n)).max(initial=0.0) for n in STRESS]) / limit,
         np.abs(state.owned("temperature")[matter] - temperature).max(initial=0.0) / temperature,
         np.abs(state.owned("peeq")).max(initial=0.0),
         abs(after / before - 1.0),
         np.abs(_centroid(setup) - came_from - path).max(),
     ]
-    return setup, mpi.maximum(np.array(changes, dtype=float))
+    return setup, sample.largest(changes)
 
 
 def _owned_centres(state: State) -> list[np.ndarray]:
@@ -268,7 +274,7 @@ def _simple_shear(options: Options) -> Iterator[Measured]:
             off = [np.abs(state.owned(name) / shear - value).max(initial=0.0)
                    for name, value in zip(("stress_xx", "stress_yy", "stress_xy"), exact)]
             worst = np.maximum(worst, off)
-        worst = mpi.maximum(worst)
+        worst = sample.largest(worst)
         spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
         finest = number == len(options.levels) - 1
         for quantity, error in zip(("stress xx", "stress yy", "stress xy"), worst):
@@ -283,9 +289,9 @@ round-off, and for the centroid, where all resolutions fly alike, that it falls 
 reconstruction of the surface moves it. Full size: the worst of four directions; quick: -z, (1, 1, -1), x, one at each
 resolution.""",
          _free_flight, (4, 5, 7), (5, 8, 12),
-         {"speed": "2000 m/s", "temperature": "450 degC", "distance": "100", "diameter": "25 um", "direction": "all",
-          "material": "copper-ge"},
-         {"speed": "speed", "temperature": "temperature", "diameter": "length"}),
+         {"speed": Setting("2000 m/s", "speed"), "temperature": Setting("450 degC", "temperature"),
+          "distance": Setting("100"), "diameter": Setting("25 um", "length"), "direction": Setting("all", kind=TEXT),
+          "material": material("copper-ge")}, 1, check=_check_direction),
     Case("rotating-block", """Pre-stressed block after one turn: the invariants of its stress; its components on the way
 A square block with a smooth pre-stress (factor 1 to 1.5 of a constant deviator) is turned once about z; velocity
 prescribed along the chords of the turn, the solver's strain, stress update and remap do the rest. L1 error of the
@@ -293,9 +299,11 @@ invariants over their L1 norm in cells that hold material before and after; and 
 step) of all components against the turned pre-stress R S R^T, over its L1 norm. The pre-stress is as large as the shear
 modulus: the update is linear in it, and so what is left of strain in a step stays a small part.""",
          _rotation, (12, 24, 36), (16, 32, 64, 128),
-         {"width": "0.1 mm", "courant": "0.2", "material": "copper-ge"}, {"width": "length"}),
+         {"width": Setting("0.1 mm", "length"), "courant": Setting("0.2", most=0.5), "material": material("copper-ge")},
+         4, whole=True),
     Case("simple-shear", """Elastic simple shear with the Jaumann rate against the closed form
 s_xy = G sin(gamma), s_xx = -s_yy = G (1 - cos(gamma)), the largest difference over G on the way; one Lagrangian
 step after another, no remap. "cells" and "dx" stand for steps per unit shear and shear per step; bar at the finest.""",
-         _simple_shear, (100, 300, 1000), (100, 300, 1000, 3000), {"shear": "3.5", "material": "copper-ge"}),
+         _simple_shear, (100, 300, 1000), (100, 300, 1000, 3000), {"shear": Setting("3.5"),
+         "material": material("copper-ge")}, whole=True),
 )

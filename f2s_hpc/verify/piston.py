@@ -23,6 +23,7 @@ from f2s_hpc.verify.box import (
     warm_up,
 )
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
+from f2s_hpc.verify.setting import Setting, material
 
 THIN, VOID = 3, 4
 """Cells across, and cells of void behind the block."""
@@ -174,16 +175,25 @@ def _run_level(cells: int, model: Model, piston: float, waves: tuple[Wave, Wave]
     return found, (largest, late), setup
 
 
+def _solved(options: Options, dx: float) -> tuple[Model, tuple[Wave, Wave]]:
+    """Return the model with cells of ``dx`` (m) and its exact waves. Raises ``InputError`` where there are none."""
+    model = make_model(dx, options["material"], options["speed"], options.numerics)
+    if not (isinstance(model.eos, MieGrueneisen) and isinstance(model.flow, LinearHardening)
+            and model.flow.modulus == 0.0):
+        raise InputError(f"material={options['material']}: the exact solution needs Mie-Grueneisen pressure and "
+                         "linear hardening with hardening_modulus 0, as copper-piston has")
+    return model, two_waves(model, options["speed"])
+
+
+def _check(options: Options) -> None:
+    _solved(options, 1e-6)
+
+
 def _run(options: Options) -> Iterator[Measured]:
     piston = options["speed"]
     for level in options.levels:
         cells = round(level)
-        model = make_model(options["length"] / cells, options["material"], piston, options.numerics)
-        if not (isinstance(model.eos, MieGrueneisen) and isinstance(model.flow, LinearHardening)
-                and model.flow.modulus == 0.0):
-            raise InputError(f"material={options['material']}: the exact solution needs Mie-Grueneisen pressure and "
-                             "linear hardening with hardening_modulus 0, as copper-piston has")
-        waves = two_waves(model, piston)
+        model, waves = _solved(options, options["length"] / cells)
         # the precursor stays inside the block, and short of the release from its far end
         end = min(options["time"], 0.95 * options["length"] / waves[0].speed)
         warm_up(model)
@@ -208,8 +218,8 @@ material ahead). Relative errors of the means over the middle of each plateau at
 between half time and end, and the largest stress over the plateau: after any remap of the run (bar), and at half time
 and end. Bars from 300 cells on, as published: Udaykumar et al. 2003, J. Comput. Phys. 186, 136-177.""",
         _run, (75, 150, 300), (150, 300, 600, 1200),
-        {"speed": speed, "length": "15 mm", "time": "2.9 us", "material": "copper-piston"},
-        {"speed": "speed", "length": "length", "time": "time"})
+        {"speed": Setting(speed, "speed"), "length": Setting("15 mm", "length"), "time": Setting("2.9 us", "time"),
+         "material": material("copper-piston")}, 10, whole=True, check=_check)
 
 
 CASES = (_case("piston", "20 m/s", ""), _case("piston-100", "100 m/s", ""), _case("piston-300", "300 m/s", ""))

@@ -12,6 +12,8 @@ from f2s_hpc.materials.flow_stress import MAX_ITERATIONS, return_map
 from f2s_hpc.materials.params import Ge, JohnsonCook
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
+from f2s_hpc.verify.material import check_models, reaching
+from f2s_hpc.verify.setting import Setting
 
 SEED = 20240501
 ZERO_CELSIUS = 273.15
@@ -127,9 +129,13 @@ def _solver(flow: tuple, shear_modulus: float, states: States) -> np.ndarray:
                      for trial, peeq, dt, kelvin, guess in columns])
 
 
+def _check(options: Options) -> None:
+    check_models(MODELS, options)
+
+
 def _run(options: Options) -> Iterator[Measured]:
     for name, material in MODELS:
-        model = make_model(1e-6, material, overrides=options.numerics)
+        model = make_model(1e-6, material, overrides=reaching(material, options.numerics))
         shear = model.bulk.shear_modulus
         for level in options.levels:
             states = random_states(model.flow, shear, round(level), options["trial"])
@@ -158,5 +164,6 @@ CASES = (
 PEEQ 0..50, rate 1e-8..1e12 1/s, -200..1300 degC, trial stress up to 100 times the static flow stress, any first guess.
 Relative error of the flow stress, of the plastic increment over trial / 3G, and the iterations, which must end
 before their limit; a number that is not finite fails. "cells" and "steps" stand for the number of states.""",
-         _run, (3000, 10000, 30000), (10000, 30000, 100000), {"trial": "100"}),
+         _run, (3000, 10000, 30000), (10000, 30000, 100000), {"trial": Setting("100", above=1.0)}, 2,
+         whole=True, check=_check),
 )

@@ -36,8 +36,9 @@ def stability(full: bool, overrides: Sequence[str], scenes: int | None, seed: in
     """Run the matrix of extreme scenes and the fuzz, print their verdicts; return 0 if none failed, else 1.
 
     ``overrides``: "numerics.KEY=value" for every scene; ``scenes``: number of random scenes (default 300 at full
-    size, 8 otherwise); ``json_file``: where the outcomes go as well. Collective.
+    size, 8 otherwise); ``json_file``: where the outcomes go as well. Collective; raises ``InputError``.
     """
+    extreme.check(overrides)
     _test_place(json_file)
     outcomes = extreme.run(full, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
     count = (FULL_FUZZ if full else QUICK_FUZZ) if scenes is None else scenes

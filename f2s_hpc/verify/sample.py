@@ -16,6 +16,14 @@ def sums(values: Sequence[float]) -> np.ndarray:
     return np.sum(np.array(mpi.all_gather([float(v) for v in values])), axis=0)
 
 
+def largest(values: Sequence[float] | float) -> np.ndarray:
+    """Return the largest of this rank's ``values``, element by element, over all ranks; NaN wherever one has it.
+
+    (A maximum of MPI, like Python's ``max``, may drop what is no number.)
+    """
+    return np.max(np.array(mpi.all_gather(values), dtype=float), axis=0)
+
+
 def along_x(state: State, values: np.ndarray) -> np.ndarray:
     """Return on every rank the row of a field along x in the middle of the box (y and z).
 

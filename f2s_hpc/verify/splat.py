@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.fields import ORIGIN
 from f2s_hpc.solver.model import Settings
@@ -94,6 +95,20 @@ def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = 
     of the cells. Raises ``InputError`` and ``UnstableStep``.
     """
     watch = Stopwatch()
+    scene, surface = splat_scene(impact, cells_per_diameter, overrides, place)
+    setup, substrate_quanta = scene_setup(scene)
+    height_start, _ = _axes(setup)
+    setup.advance_to(impact.duration)
+    height, width = _axes(setup)
+    balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
+    return Splat(setup.model.dx, height_start, height, width, surface - _interface(setup), peeq_p95(setup),
+                 peeqvavg_p95(setup), _peeq_mean(setup), _temperature_p95(setup), balance, setup.model.settings,
+                 setup.clock.steps, cell_steps(setup), watch.read())
+
+
+def splat_scene(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = (),
+                place: float = 0.0) -> tuple[Scene, float]:
+    """Return the scene of :func:`splat`, and the height of the substrate's surface (m). Raises ``InputError``."""
     dx, radius = impact.diameter / cells_per_diameter, 0.5 * impact.diameter
     wide, deep = math.ceil(impact.half_width * cells_per_diameter), math.ceil(impact.depth * cells_per_diameter)
     above = math.ceil(1.5 * cells_per_diameter) + math.ceil(place)  # room for the rim, which rises beside the sphere
@@ -101,14 +116,7 @@ def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = 
     scene = write_scene((wide, wide, deep + above), dx, impact.material, impact.speed, impact.duration,
                         spheres=[(0.0, 0.0, radius, radius)], substrate=deep + place, temperature=impact.temperature,
                         faces=faces, overrides=("output.origin=true", *overrides))
-    setup, substrate_quanta = scene_setup(scene)
-    height_start, _ = _axes(setup)
-    setup.advance_to(impact.duration)
-    height, width = _axes(setup)
-    balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
-    return Splat(dx, height_start, height, width, (deep + place) * dx - _interface(setup), peeq_p95(setup),
-                 peeqvavg_p95(setup), _peeq_mean(setup), _temperature_p95(setup), balance, setup.model.settings,
-                 setup.clock.steps, cell_steps(setup), watch.read())
+    return scene, (deep + place) * dx
 
 
 def splats(impact: Impact, cells_per_diameter: float, overrides: Sequence[str], places: int) -> list[Splat]:
@@ -144,7 +152,8 @@ def _axes(setup: Setup) -> tuple[float, float]:
     grain = 1.0 / 12.0  # cell centres exaggerate each moment by this (Sheppard)
     along = second / whole - (first / whole) ** 2 - grain
     sideways = 0.5 * spread / whole - grain
-    return float(math.sqrt(20.0 * along)) * setup.model.dx, float(math.sqrt(20.0 * sideways)) * setup.model.dx
+    # a film within one layer of cells has no height that these could tell
+    return tuple(math.sqrt(20.0 * max(float(moment), 0.0)) * setup.model.dx for moment in (along, sideways))
 
 
 def _interface(setup: Setup) -> float:

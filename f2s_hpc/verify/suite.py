@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import math
@@ -15,9 +16,9 @@ from f2s_hpc import mpi, places
 from f2s_hpc.analysis.verification import case_table, overview_table
 from f2s_hpc.analysis.work_precision import draw_case, draw_overview
 from f2s_hpc.config.messages import did_you_mean
-from f2s_hpc.errors import InputError, UnstableStep
+from f2s_hpc.errors import InputError, TooManyRanks, UnstableStep
 from f2s_hpc.verify.box import make_model
-from f2s_hpc.verify.case import Case, Measured, Options, Row, judged
+from f2s_hpc.verify.case import MATERIAL, Case, Measured, Options, Row, judged
 from f2s_hpc.verify.registry import find
 
 COLUMNS = ("case", "quantity", "resolution", "dx_m", "value", "reference", "error", "order", "bar", "least_order",
@@ -25,15 +26,22 @@ COLUMNS = ("case", "quantity", "resolution", "dx_m", "value", "reference", "erro
 """Columns of the CSV and JSON files, SI."""
 
 
+MATERIAL_NAME = "material"
+"""Setting of the cases whose metal can be chosen."""
+
+
 def verify(names: Sequence[str], overrides: Sequence[str], full: bool, out: str | os.PathLike,
            json_file: str | os.PathLike | None) -> int:
     """Run the named cases (all if none), print their tables, write files into ``out``; return the exit code.
 
     ``json_file``: where all rows go as one JSON list as well. 0 if no bar is missed, 1 otherwise. Collective; rank 0
-    prints and writes. Raises ``InputError`` for unknown cases and settings, before anything runs.
+    prints and writes. Raises ``InputError`` for unknown cases and settings, and values that a case can not run with,
+    before anything runs.
     """
     cases = find(names)
     runs = [(case, _options(case, full, overrides)) for case in _checked(cases, overrides)]
+    for case, options in runs:
+        _check(case, options)
     folder = pathlib.Path(out)
     mpi.run_together(_prepare, folder, json_file)
     all_rows: list[dict[str, Any]] = []
@@ -55,7 +63,7 @@ def list_cases() -> str:
     """Return all cases with their settings as text."""
     lines = []
     for case in find(()):
-        settings = ", ".join(f"{name}={text}" for name, text in case.settings.items())
+        settings = ", ".join(f"{name}={setting.default}" for name, setting in case.settings.items())
         lines.append(f"{case.name:24s} {case.text.splitlines()[0]}")
         lines.append(f"{'':24s} resolutions {_levels(case.quick)}; full {_levels(case.full)}"
                      + (f"; settings {settings}" if settings else ""))
@@ -67,15 +75,37 @@ def _levels(levels: Sequence[float]) -> str:
 
 
 def run_case(case: Case, options: Options) -> list[Row]:
-    """Return the judged rows of one case; a run that the solver stops leaves a row that has failed."""
-    measured: list[Measured] = []
-    try:
-        for row in case.run(options):
-            measured.append(row)  # noqa: PERF402  (what was measured before a stop is kept)
-    except UnstableStep as stop:
-        measured.append(Measured(f"stopped: {stop}", math.nan, math.nan, math.nan, None, math.inf, bar=0.0,
-                                 compares=False))
-    return judged(case.name, measured)
+    """Return the judged rows of one case; a run that the solver stops, or that breaks, leaves a row that has failed.
+
+    A resolution whose box is too small for the ranks of this run is skipped: its row has no verdict. On several ranks
+    an exception that is none of ours ends the job through the abort hook, since a rank may be alone with it.
+    """
+    skipped: list[Measured] = []
+    while True:
+        measured: list[Measured] = []
+        try:
+            for row in case.run(options):
+                measured.append(row)  # noqa: PERF402  (what was measured before a stop is kept)
+        except TooManyRanks as small:
+            coarsest, *finer = options.levels
+            skipped.append(Measured(f"skipped: {small}", coarsest, math.nan, math.nan, None, 0.0, compares=False))
+            if len(finer) >= max(case.fewest, 1):
+                options = dataclasses.replace(options, levels=tuple(finer))
+                continue
+            measured = []
+        except UnstableStep as stop:
+            measured.append(_failed(f"stopped: {stop}"))
+        except InputError as refusal:
+            measured.append(_failed(f"refused: {refusal}"))
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            if mpi.size() > 1:
+                raise
+            measured.append(_failed(f"failed: {type(error).__name__}: {error}"))
+        return judged(case.name, skipped + measured)
+
+
+def _failed(what: str) -> Measured:
+    return Measured(what, math.nan, math.nan, math.nan, None, math.inf, bar=0.0, compares=False)
 
 
 def as_dict(row: Row) -> dict[str, Any]:
@@ -98,8 +128,16 @@ def _checked(cases: list[Case], overrides: Sequence[str]) -> list[Case]:
             who = f'case "{cases[0].name}" has' if len(cases) == 1 else "the chosen cases have"
             raise InputError(f'--set {override}: {who} no setting "{name.strip()}"; '
                              f'{did_you_mean(name.strip(), known)}')
-    make_model(1e-6, overrides=[o for o in overrides if o.strip().startswith("numerics.")])
     return cases
+
+
+def _check(case: Case, options: Options) -> None:
+    """Raise ``InputError`` for options that ``case`` can not run with: now, not after an hour of others."""
+    if MATERIAL_NAME in options.values:
+        make_model(1e-6, options[MATERIAL_NAME], overrides=options.numerics)
+    else:
+        make_model(1e-6, overrides=[o for o in options.numerics if not o.strip().startswith(MATERIAL)])
+    case.check(options)
 
 
 def _options(case: Case, full: bool, overrides: Sequence[str]) -> Options:

@@ -25,13 +25,14 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.flight import NO_ROOM
-from f2s_hpc.errors import InputError, UnstableStep
+from f2s_hpc.errors import InputError, TooManyRanks, UnstableStep
 from f2s_hpc.kernels import momentum
+from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
 from f2s_hpc.verify.scenes import prepare, run_cycles
 
-STABLE, STOPPED, REFUSED, FAILED = "stable", "stopped", "refused", "failed"
+STABLE, STOPPED, REFUSED, FAILED, SMALL = "stable", "stopped", "refused", "failed", "too small"
 
 MASS_BAR = 1e-10
 """Largest mass missing, over all that was put in."""
@@ -57,7 +58,8 @@ class Broken(Exception):
 class Outcome:
     """What became of a run.
 
-    ``verdict``: stable, stopped (with a clear reason), refused (by the check of the scene), failed.
+    ``verdict``: stable, stopped (with a clear reason), refused (by the check of the scene), failed, or too small (a
+    box that so many ranks can not share).
     ``speed_ratio``: largest speed of heavy nodes over the impact speed; ``temperature_max``: K; ``mass_drift``: mass
     missing over mass put in; ``energy_rise``: largest rise of the energy (see the module) over what was brought in.
     """
@@ -78,8 +80,13 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """A run may end, stop with a clear reason or be refused; anything else is a failure."""
+        """A run may end, stop with a clear reason, be refused or be too small for the ranks; else it has failed."""
         return self.verdict != FAILED
+
+
+def _worst(so_far: float, now: float) -> float:
+    """Return the larger one, and NaN once there was one: ``max`` would forget it."""
+    return float(np.maximum(so_far, now))
 
 
 @dataclass
@@ -146,17 +153,16 @@ class Watch:
         solid = state.owned("volume_fraction") > 0.0
         for name, attribute in (("peeq", "peeq_max"), ("temperature", "temperature_max")):
             here = state.owned(name)[solid].max() if solid.any() else 0.0
-            setattr(self, attribute, max(getattr(self, attribute), float(mpi.maximum(here))))
+            setattr(self, attribute, _worst(getattr(self, attribute), float(sample.largest(here))))
 
     def _look_at_mass(self) -> dict:
         s = self.setup
-        balance = measure.measure_balance(s.state, s.model, s.ledger, self.substrate)
-        painted = s.ledger.totals()["mass_painted"]
-        missing = balance["mass_drift_relative"] * painted
-        self.mass_drift = max(self.mass_drift, abs(missing) / max(painted + self.substrate, 1))
-        if self.mass_drift > MASS_BAR:
+        # (not the drift of the balance, which is over what was painted: at rest that is nothing)
+        missing, painted = measure.missing_quanta(s.state, s.model, s.ledger, self.substrate)
+        self.mass_drift = _worst(self.mass_drift, abs(missing) / max(painted + self.substrate, 1))
+        if not self.mass_drift <= MASS_BAR:
             raise Broken(f"mass: {self.mass_drift:.2e} of it is missing {self._at()}")
-        return balance
+        return measure.measure_balance(s.state, s.model, s.ledger, self.substrate)
 
     def _look_at_energy(self, balance: dict) -> None:
         s, energy = self.setup, balance["energy"]
@@ -169,7 +175,7 @@ class Watch:
             back = energy["returned_heat"] / max(s.model.bulk.taylor_quinney, 1e-300)
             held += energy["elastic"] + energy["plastic_work"] + energy["shock_viscosity"] + back
         over, scale = held - energy["brought_in"], energy["brought_in"] or 1.0
-        self.energy_rise = max(self.energy_rise, (over - self._least_energy) / scale)
+        self.energy_rise = _worst(self.energy_rise, (over - self._least_energy) / scale)
         self._least_energy = min(self._least_energy, over)
         if not self.energy_rise <= ENERGY_BAR:
             raise Broken(f"energy: it rose by {100 * self.energy_rise:.2f} % of what was brought in {self._at()}")
@@ -192,8 +198,8 @@ class Watch:
         # mass is counted in quanta: what left is known to the bar of the mass only
         known = max(left - self._left, 0) + MASS_BAR * (totals["mass_painted"] + self.substrate)
         carried = known * s.model.mass_quantum * self.peeq_max
-        self._most_peeq = max(self._most_peeq, total)
-        if total < self._peeq - carried - PEEQ_BAR * self._most_peeq:
+        self._most_peeq = _worst(self._most_peeq, total)
+        if not total >= self._peeq - carried - PEEQ_BAR * self._most_peeq:
             raise Broken(f"PEEQ: its sum fell by {(self._peeq - total) / self._peeq:.2e} {self._at()}")
         self._peeq, self._left = total, left
 
@@ -237,6 +243,8 @@ def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int
     try:
         scene = parse_scene(text, name, overrides)
         setup, plan = prepare(scene)
+    except TooManyRanks as error:
+        return Outcome(name, SMALL, str(error))
     except InputError as error:
         return Outcome(name, REFUSED, str(error))
     watch = Watch(setup, scene.top_speed)
