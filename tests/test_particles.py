@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from f2s_hpc.config import load_scene
+from f2s_hpc.config.particles import Particles
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.batch import Batch, clipped_volume, read_csv, smallest_gap, stack, write_csv
 from f2s_hpc.particles.packing import DENSEST, LEAST_FAILURES, NEXT_SIZE, crowd, pack, smallest_gap_ratio
@@ -39,12 +40,12 @@ def scene(**changes) -> SimpleNamespace:
                "even_sides": False, "mirror_repeats": ()}
     domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "substrate_height": 0.1 * MM,
               "particle_layer_height": 0.2 * MM}
-    particles = {"speed_curvature": 0.0, "velocity": (0.0, 0.0, -600.0)}
     cycles, scheme = {"count": changes.pop("cycle_count", 5)}, changes.pop("scheme", "recurring")
     for name, value in changes.items():
         (domain if name in domain else batches)[name] = value
+    particles = Particles(speed="600 m/s", temperature="450 degC")
     return SimpleNamespace(scheme=scheme, batches=SimpleNamespace(**batches), domain=SimpleNamespace(**domain),
-                           cycles=SimpleNamespace(**cycles), particles=SimpleNamespace(**particles))
+                           cycles=SimpleNamespace(**cycles), particles=particles)
 
 
 def paper_file(name: str) -> Path:
