@@ -177,10 +177,10 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
 
 def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> dict:
     """Return the mass balance (kg, relative to the painted mass) and the energy ledger (J)."""
-    missing, painted = missing_quanta(state, model, ledger, substrate_quanta)
     totals = ledger.totals()
     area = part_area(state)
     now = material_quanta(state, model)
+    missing, painted = missing_quanta(totals, now, substrate_quanta)
     lent = totals["mass_lent"]
     kilogram = model.mass_quantum * model.cell_mass
     kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
@@ -203,15 +203,15 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
     }
 
 
-def missing_quanta(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> tuple[int, int]:
-    """Return the mass that nothing accounts for, and what was painted, in quanta of the ledger. Collective.
+def missing_quanta(totals: dict[str, int], now: int, substrate_quanta: int) -> tuple[int, int]:
+    """Return the mass that nothing accounts for, and what was painted, in quanta of the ledger.
 
-    What was painted and the substrate either are in the box, have left, or were counted as capped or lent.
+    What was painted and the substrate either are in the box (``now``, quanta), have left, or were counted as capped or
+    lent. ``totals``: of the ledger.
     """
-    totals = ledger.totals()
     out = totals["mass_left"] + totals["mass_capped"] + totals["mass_lent"]
     painted = totals["mass_painted"]
-    return painted + substrate_quanta - out - material_quanta(state, model), painted
+    return painted + substrate_quanta - out - now, painted
 
 
 def part_area(state: State) -> float:

@@ -32,7 +32,6 @@ class Pause:
         self.count += 1
         self.heat_left += before - measure.heat_quanta(state, model)
         found = measure.measure_material(state, model, scene.domain.substrate_height, particle_speed)
-        state.release_work()
         self.temperature = found["temperature_p50_degC"]
         text = f"dwell of {pretty(scene.cycles.dwell, 'time')}"
         if None in (self.temperature, last["temperature_p50_degC"]):

@@ -68,9 +68,9 @@ def dwell(state: State, model: Model, duration: float, backing: float | None, he
     most = 0.25 * (MOST_STAGES**2 + MOST_STAGES - 2) * LARGEST_NUMBER
     while left > 0.0:
         step = min(number / per_second, left)
-        taken += work.super_step(step * per_second)
-        left -= step
-        if work.change() * left < NOTHING_CHANGES * step:
+        stages, change = work.super_step(step * per_second)
+        taken, left = taken + stages, left - step
+        if change * left < NOTHING_CHANGES * step:
             break
         number = min(GROWTH * number, most)
     state.exchange(tuple(n for n in ("temperature", "internal_energy") if n in state.views), asleep=True)
@@ -101,8 +101,8 @@ class _Work:
         if self.share:
             conduction.heat_through_bottom(*self._where, number, self.share, self.held_at, temperature, gained)
 
-    def super_step(self, number: float) -> int:
-        """Take a super step of ``number`` = k tau / (rho c_p dx^2); return its stages."""
+    def super_step(self, number: float) -> tuple[int, float]:
+        """Take a super step of ``number`` = k tau / (rho c_p dx^2); return its stages and largest change (K)."""
         state, gained = self.state, self.state.flat[VOLUME_FLUX]
         temperature = state.flat["temperature"]
         conduction.remember(self.runs, self.count, state.views["temperature"], self.start, self.before)
@@ -115,12 +115,6 @@ class _Work:
             conduction.super_stage(*self._where, weights, gained if j else self.first_gained, self.first_gained,
                                    self.start, self.before, temperature)
         state.exchange(("temperature",), layers=1, asleep=True)
-        if state.energy.size > 1:
-            conduction.add_energy_of_change(*self._where, self.model.bulk.specific_heat, self.start, temperature,
-                                            state.energy)
-        return stages
-
-    def change(self) -> float:
-        """Return the largest change of temperature (K) in the last super step, over all ranks."""
-        own = conduction.largest_change(*self._where, self.start, self.state.flat["temperature"])
-        return float(mpi.maximum(np.float64(own)))
+        change = conduction.add_energy_of_change(*self._where, self.model.bulk.specific_heat, self.start, temperature,
+                                                 state.energy)
+        return stages, float(mpi.maximum(np.float64(change)))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -82,16 +83,10 @@ def _deposited(scene: Scene) -> tuple[Setup, int]:
     return setup, substrate_quanta
 
 
-def check_patch(options: Options) -> None:
-    """Raise ``InputError`` if the patch is not possible with one of the cells."""
+def _check(scene_of: Callable[[Options, float], Scene], options: Options) -> None:
+    """Raise ``InputError`` if the scene of ``scene_of`` is not possible with one of the cells."""
     for level in options.levels:
-        mpi.run_together(patch_scene, options, LENGTH / level)
-
-
-def check_section4(options: Options) -> None:
-    """Raise ``InputError`` if the scene is not possible with one of the cells."""
-    for level in options.levels:
-        mpi.run_together(section4_scene, options, LENGTH / level)
+        mpi.run_together(scene_of, options, LENGTH / level)
 
 
 def run_patch(options: Options) -> Iterator[Measured]:
@@ -143,7 +138,8 @@ CASES = (
          "received, error of the explicit step with the unexplained remainder, mass drift; resolutions are cells per "
          "30 um (3.75: 8 um, 5: 6 um, 7.5: 4 um, 10: 3 um).",
          run_section4, (3.75, 5.0, 7.5), (5.0, 7.5, 10.0),
-         {"cycles": Setting("default", kind=WHOLE, least=1, words=("default",))}, 2, check=check_section4),
+         {"cycles": Setting("default", kind=WHOLE, least=1, words=("default",))}, 2,
+         check=functools.partial(_check, section4_scene)),
     Case("deposit-temperature",
          "Patch of the scene quickstart, 0.12 x 0.12 mm (quick: 60 x 60 um), three batches: mean deposit temperature "
          "in degC must not hang on the mesh; (largest - smallest) / mean over the meshes from 6 um on; resolutions "
@@ -153,5 +149,5 @@ CASES = (
           "footprint": Setting("default", "length", least=24e-6, words=("default",)),
           "speed": Setting("615 m/s", "speed"), "temperature": Setting("450 degC", "temperature"),
           "seed": Setting("1", kind=WHOLE, least=0)},
-         2, check=check_patch),
+         2, check=functools.partial(_check, patch_scene)),
 )

@@ -158,7 +158,8 @@ class Watch:
     def _look_at_mass(self) -> dict:
         s = self.setup
         # (not the drift of the balance, which is over what was painted: at rest that is nothing)
-        missing, painted = measure.missing_quanta(s.state, s.model, s.ledger, self.substrate)
+        now = measure.material_quanta(s.state, s.model)
+        missing, painted = measure.missing_quanta(s.ledger.totals(), now, self.substrate)
         self.mass_drift = _worst(self.mass_drift, abs(missing) / max(painted + self.substrate, 1))
         if not self.mass_drift <= MASS_BAR:
             raise Broken(f"mass: {self.mass_drift:.2e} of it is missing {self._at()}")
