@@ -64,4 +64,4 @@ def build_state(scene: Scene, ranges: Ranges | None = None) -> State:
 
 def build_ledger(model: Model) -> Ledger:
     """Return an empty ledger."""
-    return Ledger(model.energy_quantum, model.mass_quantum * model.cell_mass)
+    return Ledger(model.energy_quantum)

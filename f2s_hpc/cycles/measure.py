@@ -178,7 +178,7 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
 def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> dict:
     """Return the mass balance (kg, relative to the painted mass) and the energy ledger (J)."""
     totals = ledger.totals()
-    area = part_area(state)
+    width, depth, _ = state.part.box.extents
     now = material_quanta(state, model)
     missing, painted = missing_quanta(totals, now, substrate_quanta)
     lent = totals["mass_lent"]
@@ -196,7 +196,7 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
         "painted_volume_m3": painted * model.mass_quantum * model.dx**3,
         "mass_drift_relative": missing / painted if painted else 0.0,
         "mass_left_kg": totals["mass_left"] * kilogram, "mass_capped_kg": totals["mass_capped"] * kilogram,
-        "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
+        "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / (width * depth),
         "numerical_loss_fraction": lost / brought if brought else 0.0,
         "numerical_loss_unheated_fraction": unheated / brought if brought else 0.0, "energy": energy,
         "nodes_capped": totals["nodes_capped"],
@@ -212,12 +212,6 @@ def missing_quanta(totals: dict[str, int], now: int, substrate_quanta: int) -> t
     out = totals["mass_left"] + totals["mass_capped"] + totals["mass_lent"]
     painted = totals["mass_painted"]
     return painted + substrate_quanta - out - now, painted
-
-
-def part_area(state: State) -> float:
-    """Return the footprint of the box (m2)."""
-    x, y, _ = state.part.box.extents
-    return x * y
 
 
 def elastic_quanta(state: State, model: Model) -> int:
