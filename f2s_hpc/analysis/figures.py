@@ -30,7 +30,7 @@ def shown(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def height_map(path: str | os.PathLike, surface: np.ndarray, dx: float, ground: float,
-               bounds: tuple[float, float] | None = None, title: str = "") -> None:
+               bounds: tuple[float, float] | None = None) -> None:
     """Draw the height above the substrate top, seen from above; ``bounds`` (um) are the colour limits.
 
     ``surface``: heights above the bottom of the box (m), (ny, nx); ``dx``, ``ground`` in m.
@@ -42,7 +42,7 @@ def height_map(path: str | os.PathLike, surface: np.ndarray, dx: float, ground: 
         axes = figure.add_subplot()
         image = axes.imshow(height, origin="lower", cmap="cividis", vmin=bounds[0], vmax=bounds[1],
                             extent=(0.0, surface.shape[1] * dx * MICRO, 0.0, surface.shape[0] * dx * MICRO))
-        axes.set(xlabel="x (µm)", ylabel="y (µm)", title=title)
+        axes.set(xlabel="x (µm)", ylabel="y (µm)")
         look.colour_bar(figure, image, axes, "height above substrate (µm)", height, bounds)
 
 

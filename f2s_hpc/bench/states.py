@@ -107,14 +107,14 @@ def flying(model: Model, spheres: Sequence[tuple[float, float, float, float]] | 
 STATES: dict[str, Callable[[Model], Setup]] = {"filled": filled, "deposit": deposit, "flying": flying}
 
 
-def model_of(material: str = "copper-ge") -> Model:
-    """Return the material and the default settings at the patch's cell size."""
-    return make_model(CELL_SIZE, material, SPEED)
+def default_model() -> Model:
+    """Return cold-sprayed copper and the default settings at the patch's cell size."""
+    return make_model(CELL_SIZE, "copper-ge", SPEED)
 
 
 def model_for(scene: Scene) -> Model:
     """Return the material and settings of ``scene`` at the patch's cell size and speed."""
-    model, own = build_model(scene), model_of()
+    model, own = build_model(scene), default_model()
     settings = model.settings._replace(speed_cap=own.settings.speed_cap, speed_limit=own.settings.speed_limit)
     return model._replace(dx=CELL_SIZE, settings=settings, energy_quantum=own.energy_quantum)
 

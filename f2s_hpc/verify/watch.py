@@ -239,7 +239,7 @@ def judge(name: str, watch: Watch, task: Callable[[], None]) -> Outcome:
     return watch.outcome(name, verdict, reason, stopwatch.read())
 
 
-def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int = 20) -> Outcome:
+def run_scene(name: str, text: str, overrides: Sequence[str] = ()) -> Outcome:
     """Run the scene written in ``text`` (TOML) with ``overrides`` ("key.path=value") to its end. Collective."""
     try:
         scene = parse_scene(text, name, overrides)
@@ -249,7 +249,7 @@ def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int
     except InputError as error:
         return Outcome(name, REFUSED, str(error))
     watch = Watch(setup, scene.top_speed)
-    return judge(name, watch, lambda: run_cycles(scene, plan, setup, lambda end: watch.run(end, interval)))
+    return judge(name, watch, lambda: run_cycles(scene, plan, setup, watch.run))
 
 
 COLUMNS = (
