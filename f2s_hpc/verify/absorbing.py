@@ -168,8 +168,7 @@ def _run(options: Options) -> Iterator[Measured]:
             near = side == "absorbing" and degrees <= 6.0
             bar = (0.02 if near else 0.03) if level >= FEWEST else None
             yield Measured(name, level, dx, value, theory, value if near else abs(value - theory),
-                           bar, compares=False, steps=setup.clock.steps,
-                           cell_steps=sample.cell_steps(setup.clock), wall_s=watch.read())
+                           bar, compares=False, **sample.cost(setup.clock, watch))
 
 
 _TEXT = """Elastic wave packets that meet an absorbing side (dashpots of Lysmer and Kuhlemeyer 1969) or a fixed one

@@ -12,10 +12,10 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
-from f2s_hpc.verify import energy
+from f2s_hpc.verify import energy, sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.scenes import cell_steps, prepare, run_cycles
+from f2s_hpc.verify.scenes import prepare, run_cycles
 from f2s_hpc.verify.setting import WHOLE, Setting
 
 LENGTH = 30e-6
@@ -98,7 +98,7 @@ def run_patch(options: Options) -> Iterator[Measured]:
         setup, substrate_quanta = _deposited(scene)
         found.append(deposit_temperature(setup, scene))
         balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
-        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        cost = sample.cost(setup.clock, watch)
         # (the bar is that there is a deposit at all)
         yield Measured("mean deposit temperature, degC", level, dx, found[-1], None, 0.0,
                        None if math.isfinite(found[-1]) else 0.0, compares=False, **cost)
@@ -122,7 +122,7 @@ def run_section4(options: Options) -> Iterator[Measured]:
         setup, substrate_quanta = _deposited(scene)
         balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
         loss = balance["numerical_loss_fraction"]
-        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        cost = sample.cost(setup.clock, watch)
         bar = next((bar for largest, bar in _LOSS_BARS if dx <= largest * (1.0 + 1e-9)), None)
         yield Measured("numerical loss", level, dx, loss, 0.0, loss, bar, **cost)
         unheated = balance["numerical_loss_unheated_fraction"]

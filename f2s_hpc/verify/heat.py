@@ -71,7 +71,7 @@ def _slab(options: Options) -> Iterator[Measured]:
         # central differences see k^2 (1 - (k dx)^2 / 12)
         bar = _MORE * options["decay"] * math.exp(-options["decay"]) * (math.pi / cells) ** 2 / 12.0
         yield Measured("temperature, L2", level, model.dx, error, 0.0, error, bar, 1.8 if number else None,
-                       steps=setup.clock.steps, cell_steps=sample.cell_steps(setup.clock), wall_s=watch.read())
+                       **sample.cost(setup.clock, watch))
 
 
 def mean_stress(old: float, new: float, plastic: float, strain: float, shear_modulus: float) -> float:
@@ -114,7 +114,7 @@ def _plastic(options: Options) -> Iterator[Measured]:
         warmer = bulk.taylor_quinney / (bulk.density * bulk.specific_heat)
         rise = float(state.owned("temperature")[0, 0, 0]) - start
         spread = float(sample.largest(np.abs(state.owned("temperature") - start - rise).max()))
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         error = float(np.maximum(abs(rise / (warmer * work) - 1.0), spread / rise))
         yield Measured("temperature rise, sum of stress times strain (K)", level, step, rise, warmer * work, error,
                        1e-12 * max(1.0, start / rise), compares=False, **spent)

@@ -12,6 +12,7 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
 from f2s_hpc.verify.scenes import prepare, run_cycles
@@ -116,7 +117,7 @@ def _compared(name: str, run: _Measured, full: _Measured) -> Saving:
     whole = sum(mpi.all_gather(float(full.fraction.sum())))
     clock = run.setup.clock
     return Saving(
-        name, run.wall, run.memory, clock.steps, int(mpi.total(np.int64(clock.active_cell_steps))),
+        name, run.wall, run.memory, clock.steps, sample.cell_steps(clock),
         run.wall / full.wall, run.memory / max(full.memory, 1), change("height_mean_m"), change("height_p95_m"),
         change("peeq_p50"), change("peeq_p95"), change("temperature_p50_degC"), change("temperature_p95_degC"),
         moved / whole if alike else None)

@@ -231,7 +231,8 @@ def _rotation(options: Options) -> Iterator[Measured]:
         shares += [np.abs(b)[both].sum() for b in before]
         shares += [np.abs(end[6] - start[6]).sum(), start[6].sum(), end[6].sum()]
         total = sample.sums(shares)
-        spent = {"steps": steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        setup.clock.steps = steps
+        spent = sample.cost(setup.clock, watch)
         errors = (*(total[:2] / total[2:4]), off / whole)
         for quantity, error in zip(("von Mises stress, L1", "third invariant, L1", _EIGHTH), errors):
             yield Measured(quantity, level, model.dx, float(error), 0.0, float(error),
@@ -275,7 +276,7 @@ def _simple_shear(options: Options) -> Iterator[Measured]:
                    for name, value in zip(("stress_xx", "stress_yy", "stress_xy"), exact)]
             worst = np.maximum(worst, off)
         worst = sample.largest(worst)
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         finest = number == len(options.levels) - 1
         for quantity, error in zip(("stress xx", "stress yy", "stress xy"), worst):
             yield Measured(quantity, level, step, float(error), 0.0, float(error), 1e-6 if finest else None, **spent)

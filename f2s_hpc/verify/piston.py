@@ -199,7 +199,7 @@ def _run(options: Options) -> Iterator[Measured]:
         warm_up(model)
         watch = Stopwatch()
         found, largest, setup = _run_level(cells, model, piston, waves, end)
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         asked = cells >= PUBLISHED_CELLS
         for quantity, value, reference in found:
             error = abs(value / reference - 1.0) if math.isfinite(value) else math.inf

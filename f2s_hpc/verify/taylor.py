@@ -13,10 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.verify import energy
+from f2s_hpc.verify import energy, sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.scenes import cell_steps, empty_setup, write_scene
+from f2s_hpc.verify.scenes import empty_setup, write_scene
 from f2s_hpc.verify.setting import Setting, material
 from f2s_hpc.verify.shapes import paint_cylinder
 
@@ -103,7 +103,7 @@ def run(options: Options) -> Iterator[Measured]:
             radius, on_axis, length = shape(setup)
             worst_radius = np.maximum(worst_radius, abs(radius / (0.5e-3 * (r1 + r2)) - 1.0))
             worst_length = np.maximum(worst_length, abs(length / (0.5e-3 * (l1 + l2)) - 1.0))
-        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        cost = sample.cost(setup.clock, watch)
         final = (("final length", length, FINAL_LENGTH, 0.005), ("foot radius", radius, FINAL_RADIUS, 0.015),
                  ("foot radius along an axis", on_axis, FINAL_RADIUS, None))
         for quantity, value, reference, bar in final:

@@ -102,7 +102,7 @@ def _rows(level: float, h: float, setup: Setup, before: np.ndarray, watch: Stopw
     after, mass = state.owned("volume_fraction"), state.owned("mass")
     change, start, end, carried = sample.sums([np.abs(after - before).sum(), before.sum(), after.sum(), mass.sum()])
     over = float(sample.largest(mass.max(initial=0.0))) - 1.0
-    spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+    spent = sample.cost(setup.clock, watch)
     per_cell = h**3 / thickness
     dx = setup.model.dx
     yield Measured("E1", level, dx, change * per_cell, published, change * per_cell, bar, **spent)

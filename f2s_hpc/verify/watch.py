@@ -212,7 +212,7 @@ class Watch:
             float(mpi.maximum(clock.fastest_heavy)) / self.speed if self.speed else 0.0, self.peeq_max,
             self.temperature_max, self.mass_drift, self.energy_rise,
             int(mpi.total(np.int64(self.setup.ledger.counts["nodes_capped"]))),
-            int(mpi.total(np.int64(clock.active_cell_steps))), float(mpi.broadcast(wall)))
+            sample.cell_steps(clock), float(mpi.broadcast(wall)))
 
 
 def judge(name: str, watch: Watch, task: Callable[[], None]) -> Outcome:

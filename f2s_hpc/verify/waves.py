@@ -118,7 +118,7 @@ def _run(directions: int, options: Options) -> Iterator[Measured]:
         setup.state.exchange(VELOCITY)
         setup.advance(_whole_steps(directions, cells, model.settings.courant, options))
         errors = _errors(setup, mode)
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         for quantity, error in zip(("stress, L2", "velocity, L2"), errors):
             yield Measured(quantity, level, dx, error, 0.0, error, least_order=1.8 if number else None, **spent)
 
