@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from f2s_hpc.analysis.canvas import save
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.sizes import PERCENTILES
 from f2s_hpc.particles.stream import NumberFit, PolynomialFit, StreamFit
@@ -56,7 +57,7 @@ def format_stream(fit: StreamFit) -> str:
     at = ", ".join(f"{float(fit.size.at(d)):.1f} m/s at {1e6 * d:.1f} um" for d in (low, high))
     first = (f"{measured.name}: {measured.count} particles, diameters {1e6 * low:.1f} to {1e6 * high:.1f} um, "
              f"velocities {measured.velocity.min():.1f} to {measured.velocity.max():.1f} m/s")
-    lines = [first, "", *_aligned(_HEAD, rows), "",
+    lines = [first, "", *aligned([_HEAD, *rows], left=(0, 1, 4, 5, 6), rule=True), "",
              f"velocity by the line over the diameter: {at}",
              f"diameter and squared distance from the axis: correlation {fit.mixing:.3f} (at 0 both laws add)",
              "bands: 90 % prediction bands, half width in the middle of the range, of the number on the axis"
@@ -73,17 +74,6 @@ def _rows(labels: tuple[str, str], fit: PolynomialFit, terms: Sequence[tuple[str
         rows.append((label, name, f"{scale * fit.coefficients[index]:.5g}", f"{scale * fit.errors[index]:.2g}", unit,
                      *first))
     return rows
-
-
-def _aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[c]) for row in (head, *rows)) for c in range(len(head))]
-    right = (2, 3)
-
-    def line(row: Sequence[str]) -> str:
-        return "  ".join(text.rjust(w) if c in right else text.ljust(w)
-                         for c, (text, w) in enumerate(zip(row, widths))).rstrip()
-
-    return [line(head), "  ".join("-" * w for w in widths), *map(line, rows)]
 
 
 def draw_stream(fit: StreamFit, path: str | os.PathLike) -> None:

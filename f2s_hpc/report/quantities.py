@@ -12,6 +12,7 @@ import numpy as np
 from f2s_hpc.analysis import profile
 from f2s_hpc.analysis.depth import SHARES
 from f2s_hpc.analysis.flattening import Regression
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.report.measure import Measurements, deposit_percentiles
 from f2s_hpc.report.traced import APART, CUT, FEW
 
@@ -265,9 +266,7 @@ class Table:
 
     def as_text(self) -> str:
         """Return the table for a terminal."""
-        widths = [max(len(line[c]) for line in [self.head, *self.rows]) for c in range(len(self.head))]
-        lines = ["  ".join(cell.ljust(w) if c == 0 else cell.rjust(w) for c, (cell, w) in enumerate(zip(line, widths)))
-                 for line in [self.head, *self.rows]]
+        lines = aligned([self.head, *self.rows], left=(0,))
         return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
@@ -164,5 +165,4 @@ def table(savings: list[Saving]) -> str:
 
     lines = [[head for _, head, _, _ in COLUMNS]]
     lines += [[text(s, name, scale, form) for name, _, scale, form in COLUMNS] for s in savings]
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines)
+    return "\n".join(aligned(lines, left=range(len(COLUMNS))))

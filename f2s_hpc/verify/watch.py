@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.flight import NO_ROOM
@@ -263,7 +264,5 @@ def table(outcomes: list[Outcome]) -> str:
     """Return the outcomes as a table, with the number of each verdict below."""
     lines = [[head for _, head, _ in COLUMNS]]
     lines += [[form.format(getattr(o, name)) for name, _, form in COLUMNS] for o in outcomes]
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    rows = ["  ".join(text.ljust(width) for text, width in zip(line, widths)).rstrip() for line in lines]
-    counts = Counter(o.verdict for o in outcomes)
-    return "\n".join([*rows, ", ".join(f"{n} {verdict}" for verdict, n in counts.items())])
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in Counter(o.verdict for o in outcomes).items())
+    return "\n".join([*aligned(lines, left=range(len(COLUMNS))), counts])
