@@ -13,7 +13,7 @@ from f2s_hpc.analysis.depth import DepthDistribution
 from f2s_hpc.analysis.flattening import Flattening, Regression
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import mean_line
-from f2s_hpc.units import count_text
+from f2s_hpc.units import ZERO_CELSIUS, count_text
 
 LEAST_FILL = 0.03
 HEIGHT_SHARES = (2.0, 98.0)
@@ -25,7 +25,7 @@ FIELD_LABELS = {"peeq": "PEEQ", "temperature": "temperature (°C)", "von_mises":
 def shown(name: str, values: np.ndarray) -> np.ndarray:
     """Return a field in the unit of its label: degC and MPa."""
     if name == "temperature":
-        return values - 273.15
+        return values - ZERO_CELSIUS
     return 1e-6 * values if name == "von_mises" else values
 
 

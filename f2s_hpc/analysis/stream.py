@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from f2s_hpc.analysis.canvas import save
+from f2s_hpc.analysis.canvas import DPI, INK, save
 from f2s_hpc.analysis.table import aligned
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.sizes import PERCENTILES
 from f2s_hpc.particles.stream import NumberFit, PolynomialFit, StreamFit
 
-_INK, _GREY, _POINT, _CURVE = "#1a1a1a", "#555555", "#7a9cc6", "#b3331d"
-_DPI = 150
+_GREY, _POINT, _CURVE = "#555555", "#7a9cc6", "#b3331d"
 _CURVE_POINTS = 201
 _HEAD = ("fit", "coefficient", "value", "standard error", "unit", "R2", "90 % band")
 
@@ -102,7 +101,7 @@ def draw_stream(fit: StreamFit, path: str | os.PathLike) -> None:
                           ("(d) Lateral velocity over lateral position", "lateral position (mm)",
                            "lateral velocity (m/s)"))
         figure.suptitle(f"{measured.name}: {measured.count} particles; curves with 90 % prediction bands",
-                        x=0.01, ha="left", fontsize=10, color=_INK)
+                        x=0.01, ha="left", fontsize=10, color=INK)
         save(figure, pathlib.Path(path), "plot")
 
 
@@ -151,7 +150,7 @@ def _draw_curve(axes: Any, x: np.ndarray, y: np.ndarray, band: np.ndarray) -> No
 
 
 def _label(axes: Any, title: str, across: str, up: str) -> None:
-    axes.set_title(title, fontsize=9, color=_INK, loc="left")
+    axes.set_title(title, fontsize=9, color=INK, loc="left")
     axes.set_xlabel(across)
     axes.set_ylabel(up)
     for side in ("top", "right"):
@@ -161,11 +160,11 @@ def _label(axes: Any, title: str, across: str, up: str) -> None:
 def _plain_style() -> Any:
     """Return a context in which the user's own matplotlib settings do not reach the picture."""
     import matplotlib as mpl
-    return mpl.rc_context(mpl.rcParamsDefault | {"font.size": 8.5, "axes.labelcolor": _INK, "xtick.color": _INK,
-                                                 "ytick.color": _INK, "axes.edgecolor": _INK})
+    return mpl.rc_context(mpl.rcParamsDefault | {"font.size": 8.5, "axes.labelcolor": INK, "xtick.color": INK,
+                                                 "ytick.color": INK, "axes.edgecolor": INK})
 
 
 def _figure(size: tuple[float, float], rows: int, columns: int) -> tuple[Any, Any]:
     from matplotlib.figure import Figure
-    figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
+    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)

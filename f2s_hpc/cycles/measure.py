@@ -17,9 +17,9 @@ from f2s_hpc.kernels import derived
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
+from f2s_hpc.units import ZERO_CELSIUS
 
 _BINS = 8192
-_ZERO_CELSIUS = 273.15
 _IMPORTED = time.monotonic()
 
 
@@ -167,7 +167,7 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
     solid = fraction > 0.5
     peeq_max = mpi.maximum(peeq[solid].max() if solid.any() else 0.0)
     p50, p95 = percentiles(peeq[deposit], mass[deposit], (0.5, 0.95))
-    t50, t95 = percentiles(temperature[deposit] - _ZERO_CELSIUS, mass[deposit], (0.5, 0.95))
+    t50, t95 = percentiles(temperature[deposit] - ZERO_CELSIUS, mass[deposit], (0.5, 0.95))
     return {
         "height_mean_m": float(surface.mean()), "height_p95_m": float(np.percentile(surface, 95)),
         "height_max_m": float(surface.max()), "peeq_p50": p50, "peeq_p95": p95, "peeq_max": float(peeq_max),

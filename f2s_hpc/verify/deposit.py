@@ -12,6 +12,7 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.units import ZERO_CELSIUS
 from f2s_hpc.verify import energy, sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
@@ -24,7 +25,6 @@ LENGTH = 30e-6
 RESOLVED = 5.0
 """Cells per 30 um from which on there are bars; coarser meshes show the way there."""
 
-_ZERO_CELSIUS = 273.15
 _SECTION4_FOOTPRINT = 0.35e-3
 _SECTION4_PARTICLES = 500
 _QUICKSTART_FOOTPRINT = 0.12e-3
@@ -43,7 +43,7 @@ def deposit_temperature(setup: Setup, scene: Scene) -> float:
     mass = state.owned("mass")[deposit]
     local = np.array([mass.sum(), mass @ state.owned("temperature")[deposit]])
     whole, heat = sum(mpi.all_gather(local))
-    return float(heat / whole) - _ZERO_CELSIUS if whole > 0.0 else math.nan
+    return float(heat / whole) - ZERO_CELSIUS if whole > 0.0 else math.nan
 
 
 def footprint_of(options: Options) -> float:

@@ -10,10 +10,9 @@ from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
 from f2s_hpc.materials import library
 from f2s_hpc.materials.flow_stress import flow_stress
+from f2s_hpc.units import ZERO_CELSIUS
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import MATERIAL, Case, Measured, Options, Stopwatch
-
-ZERO_CELSIUS = 273.15
 
 GE_VALUES = (
     (0.0, 1e-4, 25.0, 39.000000), (0.0, 1e7, 25.0, 799.083339), (0.1, 1e-4, 25.0, 163.494446),

@@ -10,13 +10,13 @@ import numpy as np
 
 from f2s_hpc.materials.flow_stress import MAX_ITERATIONS, return_map
 from f2s_hpc.materials.params import Ge, JohnsonCook
+from f2s_hpc.units import ZERO_CELSIUS
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
 from f2s_hpc.verify.material import check_models, reaching
 from f2s_hpc.verify.setting import Setting
 
 SEED = 20240501
-ZERO_CELSIUS = 273.15
 Extended = np.longdouble
 MODELS = (("Ge", "copper-ge"), ("Johnson-Cook", "copper-johnson-cook"), ("linear hardening", "copper-taylor"))
 
