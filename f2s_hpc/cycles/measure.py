@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import pathlib
-import time
-
 import numpy as np
 
 from f2s_hpc import mpi
@@ -20,7 +16,6 @@ from f2s_hpc.state import State
 from f2s_hpc.units import ZERO_CELSIUS
 
 _BINS = 8192
-_IMPORTED = time.monotonic()
 
 
 def derived_field(state: State, model: Model, name: str) -> np.ndarray:
@@ -221,28 +216,3 @@ def elastic_quanta(state: State, model: Model) -> int:
                                     model.eos, state.flat["mass"], state.flat["volume_fraction"], state.stress,
                                     model.dx**3, model.energy_quantum)
     return sum(mpi.all_gather(int(quanta)))
-
-
-def process_age() -> float:
-    """Return how long this process has been running (s), imports included; without /proc, since this module's own."""
-    try:
-        fields = pathlib.Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        started = int(fields[19]) / os.sysconf("SC_CLK_TCK")  # field 22 of proc(5), since boot
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
-    except (OSError, AttributeError, ValueError, IndexError):
-        return time.monotonic() - _IMPORTED
-
-
-def peak_memory() -> int:
-    """Return the largest resident memory of this rank so far (bytes).
-
-    Linux says it of this program alone; the resource usage that others know includes what started it.
-    """
-    try:
-        for line in pathlib.Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    import resource  # (not on Windows, where runs are only measured)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
