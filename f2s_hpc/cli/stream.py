@@ -43,7 +43,7 @@ def stream(arguments: argparse.Namespace) -> int:
             lines.append(f"picture {folder / PICTURE}")
         return "\n".join(lines)
 
-    _say(mpi.run_together(work))
+    mpi.say(mpi.run_together(work))
     return 0
 
 
@@ -74,7 +74,7 @@ def feed(arguments: argparse.Namespace) -> int:
                 "particles_per_batch": arguments.per_batch, "speeds": [dataclasses.asdict(c) for c in counts]})
         return "\n".join([_feed_table(powder, counts, arguments.per_batch), "note: " + note])
 
-    _say(mpi.run_together(work))
+    mpi.say(mpi.run_together(work))
     return 0
 
 
@@ -150,8 +150,3 @@ def _test_places(json_file: str | None, folder: str | None = None) -> None:
 
 def _write_json(path: str, record: dict) -> None:
     places.write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
-
-
-def _say(text: str) -> None:
-    if mpi.is_root():
-        print(text, flush=True)
