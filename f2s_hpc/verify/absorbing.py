@@ -140,7 +140,7 @@ def come_back(side: str, wave: str, degrees: float, cells: float, dx: float, dep
     ``cells`` per wavelength of ``dx`` (m); ``depth``: ``numerics.absorbing_depth``. The box is returned too.
     """
     model = never_yields(make_model(dx, options["material"], overrides=(
-        *_NO_VISCOSITY, f"numerics.absorbing_depth={depth}", *options.numerics)))
+        *_NO_VISCOSITY, f"numerics.absorbing_depth={depth}", *options.overrides)))
     packet = Packet(wave, math.radians(degrees), cells, options["strain"])
     speeds = wave_speeds(model)
     speed = speeds[wave == _SHEAR]

@@ -36,7 +36,7 @@ def _empty(cells: tuple[int, int, int], dx: float, options: Options) -> Setup:
     """Return an empty box between mirrors; the scene's own sphere is not painted."""
     top = 0.5 * min(cells) * dx
     return empty_setup(write_scene(cells, dx, options["material"], options["speed"], 1e-6, spheres=[(0, 0, top, top)],
-                                   faces=ALL_SYMMETRY, overrides=options.numerics))
+                                   faces=ALL_SYMMETRY, overrides=options.overrides))
 
 
 def _heights(setup: Setup) -> tuple[float, float, float]:

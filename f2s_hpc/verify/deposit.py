@@ -60,7 +60,7 @@ def patch_scene(options: Options, dx: float) -> Scene:
         f"domain.cell_size={dx!r} m", f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.3 mm"]',
         f"batches.particles={particles}", f"cycles.count={options['cycles']}",
         f"particles.speed={options['speed']!r} m/s", f"particles.temperature={options['temperature']!r} K",
-        f"batches.seed={options['seed']}", *options.numerics])
+        f"batches.seed={options['seed']}", *options.overrides])
 
 
 def section4_scene(options: Options, dx: float) -> Scene:
@@ -72,7 +72,7 @@ def section4_scene(options: Options, dx: float) -> Scene:
         particles = round(_SECTION4_PARTICLES * (footprint / _SECTION4_FOOTPRINT) ** 2)
         overrides += [f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.4 mm"]', f"batches.particles={particles}",
                       "batches.diameter_max=60 um"]
-    return load_scene("section4", [*overrides, *options.numerics])
+    return load_scene("section4", [*overrides, *options.overrides])
 
 
 def _deposited(scene: Scene) -> tuple[Setup, int]:

@@ -112,7 +112,7 @@ def _centroid(setup: Setup) -> np.ndarray:
 
 def _free_flight(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
-        model = make_model(options["diameter"] / level, options["material"], options["speed"], options.numerics)
+        model = make_model(options["diameter"] / level, options["material"], options["speed"], options.overrides)
         warm_up(model)
         watch, worst, steps, cell_steps = Stopwatch(), np.zeros(len(_FLIGHT) + 1), 0, 0
         for direction in _directions(options["direction"], number, options.full):
@@ -209,7 +209,7 @@ def _off_turned(setup: Setup, width: int, amplitude: float, angle: float) -> np.
 def _rotation(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
         width = round(level)
-        model = make_model(options["width"] / width, options["material"], overrides=options.numerics)
+        model = make_model(options["width"] / width, options["material"], overrides=options.overrides)
         model = never_yields(model)
         warm_up(model)
         watch = Stopwatch()
@@ -263,7 +263,7 @@ def shear_step(setup: Setup, rate: float, dt: float) -> None:
 
 def _simple_shear(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
-        model = never_yields(make_model(1e-6, options["material"], overrides=options.numerics))
+        model = never_yields(make_model(1e-6, options["material"], overrides=options.overrides))
         warm_up(model)
         watch = Stopwatch()
         setup = few_cells(model)

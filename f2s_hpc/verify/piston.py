@@ -177,7 +177,7 @@ def _run_level(cells: int, model: Model, piston: float, waves: tuple[Wave, Wave]
 
 def _solved(options: Options, dx: float) -> tuple[Model, tuple[Wave, Wave]]:
     """Return the model with cells of ``dx`` (m) and its exact waves. Raises ``InputError`` where there are none."""
-    model = make_model(dx, options["material"], options["speed"], options.numerics)
+    model = make_model(dx, options["material"], options["speed"], options.overrides)
     if not (isinstance(model.eos, MieGrueneisen) and isinstance(model.flow, LinearHardening)
             and model.flow.modulus == 0.0):
         raise InputError(f"material={options['material']}: the exact solution needs Mie-Grueneisen pressure and "

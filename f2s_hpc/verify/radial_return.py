@@ -135,7 +135,7 @@ def _check(options: Options) -> None:
 
 def _run(options: Options) -> Iterator[Measured]:
     for name, material in MODELS:
-        model = make_model(1e-6, material, overrides=reaching(material, options.numerics))
+        model = make_model(1e-6, material, overrides=reaching(material, options.overrides))
         shear = model.bulk.shear_modulus
         for level in options.levels:
             states = random_states(model.flow, shear, round(level), options["trial"])

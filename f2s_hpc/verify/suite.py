@@ -134,9 +134,9 @@ def _check_overrides(cases: list[Case], overrides: Sequence[str]) -> None:
 def _check(case: Case, options: Options) -> None:
     """Raise ``InputError`` for options that ``case`` can not run with: now, not after an hour of others."""
     if MATERIAL_NAME in options.values:
-        make_model(1e-6, options[MATERIAL_NAME], overrides=options.numerics)
+        make_model(1e-6, options[MATERIAL_NAME], overrides=options.overrides)
     else:
-        make_model(1e-6, overrides=[o for o in options.numerics if not o.strip().startswith(MATERIAL)])
+        make_model(1e-6, overrides=[o for o in options.overrides if not o.strip().startswith(MATERIAL)])
     case.check(options)
 
 

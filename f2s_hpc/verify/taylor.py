@@ -57,7 +57,7 @@ def make_bar(options: Options, cells_per_radius: float) -> Setup:
     # the scene's own sphere is not painted; it only says how fast particles are
     scene = write_scene(
         (width, width, height), dx, options["material"], options["speed"], 1e-3, spheres=[(0.0, 0.0, radius, radius)],
-        faces=_FACES, overrides=("numerics.conduction=false", _NO_SPALL, *_NO_LIMIT, *options.numerics))
+        faces=_FACES, overrides=("numerics.conduction=false", _NO_SPALL, *_NO_LIMIT, *options.overrides))
     setup = empty_setup(scene)
     paint_cylinder(setup, cells_per_radius, 0.0, length / dx, (0.0, 0.0, -options["speed"]), 298.15)
     return setup

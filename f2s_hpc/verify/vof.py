@@ -121,7 +121,7 @@ def _leveque(options: Options) -> Iterator[Measured]:
     for level in options.levels:
         cells = round(level)
         h = 1.0 / cells
-        model = make_model(h, overrides=options.numerics)
+        model = make_model(h, overrides=options.overrides)
         warm_up(model)
         watch = Stopwatch()
         setup = make_setup((cells, cells, cells), model, [(0.35 * cells,) * 3 + (0.15 * cells,)], sides=ALL_SYMMETRY)
@@ -135,7 +135,7 @@ def _reversed(options: Options) -> Iterator[Measured]:
     for level in options.levels:
         cells = round(level)
         h = 1.0 / cells
-        model = make_model(h, overrides=options.numerics)
+        model = make_model(h, overrides=options.overrides)
         warm_up(model)
         watch = Stopwatch()
         setup = make_setup((cells, cells, THIN), model, sides=ALL_SYMMETRY)

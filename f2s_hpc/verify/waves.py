@@ -96,7 +96,7 @@ def _model(directions: int, cells: int, dx: float, options: Options) -> Model:
 
     The shared last steps of a cycle would add an error of their own, other phases another share of the amplitude.
     """
-    overrides = [*_NO_VISCOSITY, *options.numerics]
+    overrides = [*_NO_VISCOSITY, *options.overrides]
     model = make_model(dx, options["material"], overrides=overrides)
     steps = _whole_steps(directions, cells, model.settings.courant, options)
     courant = options["periods"] * 2.0 * cells / math.sqrt(directions) / steps
