@@ -102,6 +102,8 @@ UNITS = {field.name: field.unit for field in FIELDS + DERIVED}
 """Unit of everything that can be written; "1" for plain numbers."""
 
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
+STRESS_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""Row and column of each in the tensor."""
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 VOLUME_FLUX = FORCE[0]

@@ -23,6 +23,7 @@ from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.state import State
 
 ALL_SYMMETRY = dict.fromkeys(SIDES, "symmetry")
+NO_SHOCK_VISCOSITY = ("numerics.shock_viscosity_linear=0", "numerics.shock_viscosity_quadratic=0")
 STANDARD_SIDES = ALL_SYMMETRY | {"z_low": "fixed", "z_high": "fixed"}
 
 _SCENE = """

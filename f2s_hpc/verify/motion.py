@@ -9,7 +9,7 @@ import numpy as np
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
-from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.fields import STRESS, STRESS_PLACES, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.materials.flow_stress import flow_stress
 from f2s_hpc.solver import lagrange
@@ -34,7 +34,6 @@ from f2s_hpc.verify.setting import TEXT, Setting, material
 THIN = 3
 DIRECTIONS = ((0.0, 0.0, -1.0), (1.0, 1.0, -1.0), (1.0, 0.0, 0.0), (1.0, 2.0, 3.0))
 _STRESS_TENSOR = np.array([[1.0, 0.5, 0.0], [0.5, -0.4, 0.0], [0.0, 0.0, -0.6]])
-_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 _FLIGHT = {"velocity": 1e-9, "stress": 1e-9, "temperature": 1e-9, "PEEQ": 0.0, "mass": 1e-12}
 """What a flight must not change, and the bars."""
 
@@ -147,7 +146,7 @@ def _rotating_block(model: Model, width: int, amplitude: float) -> tuple[Setup, 
     for name, value in (("mass", 1.0), ("volume_fraction", 1.0), ("temperature", 298.15)):
         state.views[name][inside] = value
     factor = amplitude * _pattern(x / width, y / width)
-    for name, place in zip(STRESS, _PLACES):
+    for name, place in zip(STRESS, STRESS_PLACES):
         state.views[name][...] = np.where(inside, factor * _STRESS_TENSOR[place], 0.0)
     state.exchange(state.ghosted)
     setup.activate()
@@ -199,7 +198,7 @@ def _off_turned(setup: Setup, width: int, amplitude: float, angle: float) -> np.
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     turned, factor = turn @ _STRESS_TENSOR @ turn.T, amplitude * _pattern(x / width, y / width)
     off, whole = 0.0, 0.0
-    for name, place in zip(STRESS, _PLACES):
+    for name, place in zip(STRESS, STRESS_PLACES):
         exact, twice = factor * turned[place], 1.0 if place[0] == place[1] else 2.0
         off += twice * np.abs(state.owned(name) - exact)[inside].sum()
         whole += twice * np.abs(exact)[inside].sum()
