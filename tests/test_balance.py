@@ -177,5 +177,3 @@ def test_check_tells_the_imbalance(run_f2s, tmp_path):
     assert done.returncode == 0, done.stderr
     line = next(text for text in done.stdout.splitlines() if text.startswith("# imbalance"))
     assert "with ranges weighted by the expected deposit" in line
-
-

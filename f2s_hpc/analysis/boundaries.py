@@ -21,9 +21,10 @@ SMOOTHING = 0.7
 """Standard deviation (cells) of the Gaussian that takes the noise of single cells out of the map."""
 
 LEAST_PIXELS = 12
+"""A particle of fewer cells is left out."""
+
 MOST_FREE = 0.25
 """A particle is left out when more of its outline than this is free surface: nothing there tells where it ends."""
-
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def _free_share(found: np.ndarray) -> np.ndarray:
     return free / np.maximum(outline, 1.0)
 
 
-def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground: int, prominence: float = PROMINENCE,
+def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground: int,
                       smoothing: float = SMOOTHING, least_pixels: int = LEAST_PIXELS) -> SectionParticles:
     """Return the particles of a section whose boundary is whole, with their widths and heights.
 
@@ -149,7 +150,7 @@ def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground:
     :func:`basins` does.
     """
     material = fraction >= 0.5
-    found = basins(peeq, material, prominence, smoothing)
+    found = basins(peeq, material, smoothing=smoothing)
     boundaries = np.zeros(found.shape, dtype=bool)
     boundaries[:-1] |= (found[:-1] != found[1:]) & material[:-1] & material[1:]
     boundaries[:, :-1] |= (found[:, :-1] != found[:, 1:]) & material[:, :-1] & material[:, 1:]

@@ -118,12 +118,9 @@ def draw_overview(rows: Rows, path: pathlib.Path) -> bool:
 
 
 def _figure(size: tuple[float, float]) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=size, dpi=_DPI, facecolor="white")
 
 
 def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool, across: str = "wall_s",

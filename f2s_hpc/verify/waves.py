@@ -29,7 +29,6 @@ THIN = 3
 """Cells across the directions in which nothing varies."""
 
 
-
 class Mode:
     """The lowest longitudinal mode of a box between mirrors, velocity ~ grad(cos k x1 ... cos k xn).
 
