@@ -139,7 +139,7 @@ def _free_share(found: np.ndarray) -> np.ndarray:
     return free / np.maximum(outline, 1.0)
 
 
-def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground: int,
+def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground: int, prominence: float = PROMINENCE,
                       smoothing: float = SMOOTHING, least_pixels: int = LEAST_PIXELS) -> SectionParticles:
     """Return the particles of a section whose boundary is whole, with their widths and heights.
 
@@ -150,7 +150,7 @@ def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground:
     :func:`basins` does.
     """
     material = fraction >= 0.5
-    found = basins(peeq, material, smoothing=smoothing)
+    found = basins(peeq, material, prominence, smoothing)
     boundaries = np.zeros(found.shape, dtype=bool)
     boundaries[:-1] |= (found[:-1] != found[1:]) & material[:-1] & material[1:]
     boundaries[:, :-1] |= (found[:, :-1] != found[:, 1:]) & material[:, :-1] & material[:, 1:]

@@ -19,7 +19,7 @@ class DepthDistribution:
     """Percentiles of a field in layers, from the lowest up.
 
     ``low``, ``high``: bounds of each layer above the substrate top (m), (n,); ``volume``: material in it (m3), (n,);
-    ``mean`` (n,); ``percentiles`` (n, len(SHARES)). NaN in a layer without material.
+    ``mean`` (n,); ``percentiles`` (n, len(SHARES)) at ``SHARES``. NaN in a layer without material.
     """
 
     low: np.ndarray
