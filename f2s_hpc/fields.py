@@ -27,7 +27,6 @@ class Field:
     advected: bool = False
     ghosted: bool = False
     saved: bool = False
-    shown: bool = False
     mirror_sign: tuple[int, int, int] = (1, 1, 1)
     tag: bool = False
 
@@ -50,7 +49,7 @@ FIELDS: tuple[Field, ...] = (
     Field("mass", CELL, "1", "mass in the cell over the mass of a full cell at zero pressure",
           advected=True, ghosted=True, saved=True),
     Field("volume_fraction", CELL, "1", "volume of material over volume of the cell",
-          advected=True, ghosted=True, saved=True, shown=True),
+          advected=True, ghosted=True, saved=True),
     _stress("xx", (1, 1, 1)),
     _stress("yy", (1, 1, 1)),
     _stress("zz", (1, 1, 1)),
@@ -58,13 +57,13 @@ FIELDS: tuple[Field, ...] = (
     _stress("yz", (1, -1, -1)),
     _stress("xz", (-1, 1, -1)),
     Field("peeq", CELL, "1", "equivalent plastic strain",
-          advected=True, ghosted=True, saved=True, shown=True),
+          advected=True, ghosted=True, saved=True),
     Field("temperature", CELL, "K", "temperature",
-          advected=True, ghosted=True, saved=True, shown=True),
+          advected=True, ghosted=True, saved=True),
     Field("internal_energy", CELL, "J/kg", "specific internal energy (Mie-Grueneisen pressure only)",
           advected=True, ghosted=True, saved=True),
     Field("particle_fraction", CELL, "1", "share of the cell's mass that came with the particles (output.origin only)",
-          advected=True, ghosted=True, saved=True, shown=True, tag=True),
+          advected=True, ghosted=True, saved=True, tag=True),
     Field("lent_mass", CELL, "1", "mass (in full cells) that the cell has lent to what lies behind absorbing sides",
           ghosted=True, saved=True),
     _velocity("x", (-1, 1, 1)),
@@ -103,6 +102,8 @@ UNITS = {field.name: field.unit for field in FIELDS + DERIVED}
 """Unit of everything that can be written; "1" for plain numbers."""
 
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
+STRESS_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""Row and column of each in the tensor."""
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 VOLUME_FLUX = FORCE[0]

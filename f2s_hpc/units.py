@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from decimal import Context, Decimal, InvalidOperation, Overflow
 
 EXACT = Context(prec=60)
-ZERO_CELSIUS = Decimal("273.15")  # K
+_ZERO_CELSIUS = Decimal("273.15")  # K
+ZERO_CELSIUS = float(_ZERO_CELSIUS)
+"""0 degC in K."""
 
 # exponents of metre, kilogram, second, kelvin
 Exponents = tuple[int, int, int, int]
@@ -154,7 +156,7 @@ def _si_value(digits: str, unit: str, want: Dimension, hint: str) -> float:
     if unit in _CELSIUS:
         if want.name != "temperature":
             raise UnitError(f"this is a temperature, but a {want.name} is needed: {hint}")
-        return _checked_float(EXACT.add(number, ZERO_CELSIUS), hint)
+        return _checked_float(EXACT.add(number, _ZERO_CELSIUS), hint)
     try:
         factor, exponents = _parse_unit(unit)
     except UnitError as error:
@@ -178,7 +180,7 @@ def show(value: float, dimension: str) -> str:
     """
     exact = Decimal(repr(float(value)))
     if dimension == "temperature":
-        return f"{_plain(EXACT.subtract(exact, ZERO_CELSIUS))} degC"
+        return f"{_plain(EXACT.subtract(exact, _ZERO_CELSIUS))} degC"
     units = DIMENSIONS[dimension].shown
     if exact == 0:
         return f"0 {'s' if dimension == 'time' else units[0]}"
@@ -200,7 +202,7 @@ def _plain(number: Decimal) -> str:
 def pretty(value: float, dimension: str, digits: int = 4) -> str:
     """Return ``value`` (SI) rounded to ``digits`` significant digits with a unit, for people."""
     if dimension == "temperature":
-        return f"{value - float(ZERO_CELSIUS):.{digits}g} degC"
+        return f"{value - ZERO_CELSIUS:.{digits}g} degC"
     return show(float(f"{value:.{digits}g}"), dimension)
 
 

@@ -20,11 +20,6 @@ from f2s_hpc.bench import kernels, states
 from f2s_hpc.errors import F2SError
 
 
-def _say(text: str) -> None:
-    if mpi.is_root():
-        print(text, flush=True)
-
-
 def main(arguments: list[str]) -> int:
     """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -38,7 +33,7 @@ def main(arguments: list[str]) -> int:
     try:
         if chosen.json:
             mpi.run_together(places.check_file, chosen.json, "--json")
-        machine, rows = kernels.run(chosen.states.split(","), chosen.sizes.split(","), not chosen.no_count, _say)
+        machine, rows = kernels.run(chosen.states.split(","), chosen.sizes.split(","), not chosen.no_count, mpi.say)
         if chosen.json and mpi.is_root():
             kernels.write_json(chosen.json, machine, rows)
     except F2SError as error:

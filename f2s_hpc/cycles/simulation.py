@@ -18,7 +18,7 @@ from f2s_hpc.cycles.insert import InsertReport, paint_substrate
 from f2s_hpc.cycles.output import BATCHES, RunFolder
 from f2s_hpc.cycles.pause import Pause
 from f2s_hpc.cycles.progress import Progress
-from f2s_hpc.cycles.spent import Spent
+from f2s_hpc.cycles.spent import Spent, peak_memory, process_age
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import Tracers, check_same
@@ -208,7 +208,7 @@ class Simulation:
                 self.tracers.seed(landed, clock.time)
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
             if self.startup is None:
-                self.startup = measure.process_age(), measure.peak_memory()
+                self.startup = process_age(), peak_memory()
                 phases.started(self.stages)
             if clock.remaps % REMAPS_PER_RELEASE == 0:
                 self.state.release_empty()
@@ -355,7 +355,7 @@ class Simulation:
         row = row | self.spent.so_far(self.stop.elapsed())
         row["active_cell_steps_per_s"] = row["active_cell_steps"] / max(row["wall_s"], 1e-9)
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
-        age, memory = self.startup or (measure.process_age(), measure.peak_memory())
+        age, memory = self.startup or (process_age(), peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}
