@@ -16,8 +16,9 @@ class Field:
     """One scalar array.
 
     ``mirror_sign`` holds, per axis (x, y, z), the sign that a component takes in the mirror image
-    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal). ``tag``: it tells
-    two kinds of material apart, 0 or 1 but for the cells that an interface cuts, and is kept as sharp as that.
+    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal). ``shown``: frames
+    have it where the scene does not say. ``tag``: it tells two kinds of material apart, 0 or 1 but for the cells that
+    an interface cuts, and is kept as sharp as that.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Field:
     advected: bool = False
     ghosted: bool = False
     saved: bool = False
+    shown: bool = False
     mirror_sign: tuple[int, int, int] = (1, 1, 1)
     tag: bool = False
 
@@ -49,7 +51,7 @@ FIELDS: tuple[Field, ...] = (
     Field("mass", CELL, "1", "mass in the cell over the mass of a full cell at zero pressure",
           advected=True, ghosted=True, saved=True),
     Field("volume_fraction", CELL, "1", "volume of material over volume of the cell",
-          advected=True, ghosted=True, saved=True),
+          advected=True, ghosted=True, saved=True, shown=True),
     _stress("xx", (1, 1, 1)),
     _stress("yy", (1, 1, 1)),
     _stress("zz", (1, 1, 1)),
@@ -57,9 +59,9 @@ FIELDS: tuple[Field, ...] = (
     _stress("yz", (1, -1, -1)),
     _stress("xz", (-1, 1, -1)),
     Field("peeq", CELL, "1", "equivalent plastic strain",
-          advected=True, ghosted=True, saved=True),
+          advected=True, ghosted=True, saved=True, shown=True),
     Field("temperature", CELL, "K", "temperature",
-          advected=True, ghosted=True, saved=True),
+          advected=True, ghosted=True, saved=True, shown=True),
     Field("internal_energy", CELL, "J/kg", "specific internal energy (Mie-Grueneisen pressure only)",
           advected=True, ghosted=True, saved=True),
     Field("particle_fraction", CELL, "1", "share of the cell's mass that came with the particles (output.origin only)",
@@ -91,8 +93,8 @@ FIELDS: tuple[Field, ...] = (
 
 DERIVED: tuple[Field, ...] = (
     Field("pressure", CELL, "Pa", "pressure of the material"),
-    Field("von_mises", CELL, "Pa", "von Mises stress"),
-    Field("speed", CELL, "m/s", "speed of the material, the mean of the nodes of its cell"),
+    Field("von_mises", CELL, "Pa", "von Mises stress", shown=True),
+    Field("speed", CELL, "m/s", "speed of the material, the mean of the nodes of its cell", shown=True),
 )
 """What is computed for output only, from the fields."""
 
@@ -100,6 +102,9 @@ BY_NAME = {field.name: field for field in FIELDS}
 
 UNITS = {field.name: field.unit for field in FIELDS + DERIVED}
 """Unit of everything that can be written; "1" for plain numbers."""
+
+SHOWN = tuple(field.name for field in FIELDS + DERIVED if field.shown)
+"""What frames have where the scene does not say."""
 
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
 STRESS_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))

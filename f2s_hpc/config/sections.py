@@ -25,7 +25,7 @@ from f2s_hpc.config.quantities import (
 
 Face = Literal["symmetry", "fixed", "free", "outflow", "absorbing"]
 DERIVED_FIELDS = tuple(f.name for f in fields.DERIVED)
-SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
+POSSIBLE_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
 LEAST_TRACERS = 10
 MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
 
@@ -286,9 +286,8 @@ class View(Section):
 class Output(Section):
     """What is written while running."""
 
-    fields: tuple[str, ...] = Field(default=("volume_fraction", "peeq", "temperature", "von_mises", "speed"),
-                                    min_length=1,
-                                    description=f"fields of the frames; there are {', '.join(SHOWN_FIELDS)}")
+    fields: tuple[str, ...] = Field(default=fields.SHOWN, min_length=1,
+                                    description=f"fields of the frames; there are {', '.join(POSSIBLE_FIELDS)}")
     frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
     frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
     view: View = Field(default_factory=View, description="a part of the box that is written more often")
@@ -309,8 +308,8 @@ class Output(Section):
     @classmethod
     def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for name in value:
-            if name not in SHOWN_FIELDS:
-                raise ValueError(f'there is no field "{name}"; possible: {", ".join(SHOWN_FIELDS)}')
+            if name not in POSSIBLE_FIELDS:
+                raise ValueError(f'there is no field "{name}"; possible: {", ".join(POSSIBLE_FIELDS)}')
         if len(set(value)) < len(value):
             raise ValueError("a field is named twice")
         return value

@@ -20,7 +20,7 @@ from f2s_hpc import places
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.packing import smallest_gap_ratio, volume_inside
 from f2s_hpc.particles.sizes import SMALLEST
-from f2s_hpc.units import ZERO_CELSIUS
+from f2s_hpc.units import UnitError, parse, show
 
 COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
@@ -106,10 +106,10 @@ def _metres_per_second(text: str, where: str, column: str) -> float:
 def _kelvin(text: str, where: str, column: str) -> float:
     """Return a temperature in degC as kelvin, rounded once, not below absolute zero."""
     try:
-        value = float(Decimal(text.strip()) + ZERO_CELSIUS)
-    except (InvalidOperation, Overflow, ValueError):
+        value = parse(f"{text} degC", "temperature")
+    except UnitError:
         value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
+    if not value >= 0.0:
         raise InputError(f"{where}: {column} is {_quoted(text)}, but must be a number in degC, like 450")
     return value
 
@@ -196,8 +196,8 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
         rows = [",".join([row, *map(repr, velocity)]) for row, velocity in zip(rows, batch.velocity.tolist())]
     if batch.temperature is not None:
         header += (TEMPERATURE_COLUMN,)
-        celsius = (Decimal(repr(value)) - ZERO_CELSIUS for value in batch.temperature.tolist())
-        rows = [f"{row},{value:f}" for row, value in zip(rows, celsius)]
+        celsius = (show(value, "temperature").removesuffix(" degC") for value in batch.temperature.tolist())
+        rows = [f"{row},{value}" for row, value in zip(rows, celsius)]
     places.write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 

@@ -289,7 +289,7 @@ def _with_temperatures(scene, batches: list[Batch], messages: list[str], kept: b
     batches = [batch if batch.temperature is not None else dataclasses.replace(
         batch, temperature=np.full(batch.count, 1.0) * scene.particles.temperature_at(2.0 * batch.r))
         for batch in batches]
-    values = np.concatenate([batch.temperature for batch in batches]) - float(ZERO_CELSIUS)
+    values = np.concatenate([batch.temperature for batch in batches]) - ZERO_CELSIUS
     messages.append(f"particles are at {values.min():.1f} to {values.max():.1f} degC, {values.mean():.1f} in the mean")
     return batches
 
