@@ -98,7 +98,8 @@ def test_a_key_has_meaning_values_and_default(capsys, key, words):
     ("particles", "[particles]",
      [f"particles.{key}" for key in ("speed", "speed_curvature", "speed_per_diameter", "speed_diameter",
                                      "lateral_velocity", "lateral_slope", "lateral_curvature", "direction",
-                                     "temperature", "flight", "stream", "stream_laws")]),
+                                     "temperature", "temperature_per_diameter", "temperature_diameter", "flight",
+                                         "stream", "stream_laws")]),
 ])
 def test_a_section_or_key_is_told_alone(capsys, name, first, keys):
     """Fails if more than what was asked for is printed, or a key named like a section (batches.particles) with it."""
