@@ -79,9 +79,9 @@ def _unit_table() -> dict[str, tuple[Decimal, Exponents]]:
 
 UNITS = _unit_table()
 _CELSIUS = ("degC", "°C", "celsius")
-_MEANT = {"c": "degC", "deg": "degC", "degree": "degC", "degrees": "degC", "celsius": "degC", "kelvin": "K", "mu": "um",
-          "sec": "s", "mps": "m/s"} | {word: "um" for word in (
-              "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres")}
+_MEANT = {"c": "degC", "deg": "degC", "degree": "degC", "degrees": "degC", "celsius": "degC", "kelvin": "K", "sec": "s",
+          "mps": "m/s", "mu": "um", "micron": "um", "microns": "um", "micrometer": "um", "micrometers": "um",
+          "micrometre": "um", "micrometres": "um"}
 """What people write for a unit (in small letters), and how it is written here."""
 LIKELY = 1e3
 """A number without a unit is hardly in the unit of the example if it is more than so many times larger or smaller."""

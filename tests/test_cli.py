@@ -16,7 +16,7 @@ from conftest import launch
 
 from f2s_hpc import mpi
 from f2s_hpc.cli import tasks
-from f2s_hpc.cli.main import main
+from f2s_hpc.cli.main import _parser, main
 from f2s_hpc.config import load_scene, scene_hash, scene_names
 from f2s_hpc.particles.batch import read_csv
 from f2s_hpc.particles.plan import make_batches
@@ -237,9 +237,11 @@ def test_mpirun_gets_the_exit_code_of_bad_input(tmp_path):
 @pytest.mark.mpi
 @pytest.mark.parametrize(("arguments", "word"), [
     (["runn", "quickstart"], "runn"), (["run"], "SCENE"), (["run", "splat", "--oout", "x"], "--oout"),
+    (["run", "splat", "runs/x"], "f2s run: unrecognized arguments: runs/x; 'f2s run --help'"),
+    (["check", "splat", "--set", "domain.cell_size", "=", "6 um"], "KEY=VALUE without spaces around ="),
     (["analyse", "x", "--cycle", "one"], "'one'")])
 def test_wrong_arguments_are_one_line_from_rank_0(capsys, arguments, word):
-    """Fails if every rank prints, or if the usage comes along."""
+    """Fails if every rank prints, if the usage comes along, or if ``parse_known_args`` leaves it to f2s."""
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2
@@ -247,6 +249,15 @@ def test_wrong_arguments_are_one_line_from_rank_0(capsys, arguments, word):
     assert not out
     assert len(err.splitlines()) == int(mpi.is_root())
     assert not mpi.is_root() or word in err
+
+
+def test_the_help_of_each_command_explains_all_it_takes():
+    """Fails if an argument of any command is added, or left, without ``help``: nothing but its name is told then."""
+    (choice,) = _parser()._subparsers._group_actions
+    assert len(choice.choices) > 10
+    unexplained = {f"{name} {action.metavar or action.dest}" for name, parser in choice.choices.items()
+                   for action in parser._actions if not action.help}
+    assert unexplained == set()
 
 
 def test_mpirun_gets_the_exit_code_of_wrong_arguments(tmp_path):
