@@ -40,7 +40,7 @@ def scene(**changes) -> SimpleNamespace:
                "diameter_d90": 52 * UM, "diameter_min": 10 * UM, "diameter_max": 85 * UM, "distribution": "uniform",
                "even_sides": False, "mirror_repeats": ()}
     domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "substrate_height": 0.1 * MM,
-              "particle_layer_height": 0.2 * MM}
+              "cell_size": 3 * UM, "particle_layer_height": 0.2 * MM}
     cycles, scheme = {"count": changes.pop("cycle_count", 5)}, changes.pop("scheme", "recurring")
     for name, value in changes.items():
         (domain if name in domain else batches)[name] = value
@@ -435,6 +435,15 @@ def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, spher
         make_batches(scene(spheres=[[value * UM for value in sphere]]))
     towards = np.sign(np.array([75, 60, 100, 20]) - sphere) * [2, 2, 6, 0]
     make_batches(scene(spheres=[list((np.array(sphere) + towards) * UM)]))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "micrometres"), (1e-3, "metres")])
+def test_a_file_in_other_units_is_told(tmp_path, factor, unit):
+    """Fails when ``_refuse_other_units`` takes the largest radius for the smallest, or is not called."""
+    path = tmp_path / "b.csv"
+    write_csv(path, Batch(*(np.array([v, 1.1 * v]) * factor * UM for v in (30.0, 30.0, 50.0, 10.0))))
+    with pytest.raises(InputError, match=rf"b.csv: a radius of .* are its numbers {unit}\? millimetres"):
+        make_batches(load_scene("section4", [f"batches.files=['{path}']"]))
 
 
 def test_spheres_that_touch_an_end_of_the_layer_are_inside():
