@@ -17,6 +17,7 @@ from conftest import launch
 from f2s_hpc import mpi
 from f2s_hpc.cli import tasks
 from f2s_hpc.cli.main import _parser, main
+from f2s_hpc.cli.notes import scene_notes
 from f2s_hpc.config import load_scene, scene_hash, scene_names
 from f2s_hpc.particles.batch import read_csv
 from f2s_hpc.particles.plan import make_batches
@@ -130,7 +131,9 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
         assert abs(int(re.search(r"\d+", facts["steps"])[0]) - 40e-9 / step) < 2
         for name in ("memory", "frames", "checkpoints"):
             assert re.search(r"\d (KiB|MiB|kB|MB|B)\b", facts[name]), facts[name]
-        scene = tomllib.loads(out)
+        assert facts["resolution"].startswith("4.75 cells across the median particle of 19 um")
+        scene = tomllib.loads(out)  # (its notes are remarks too, so that it may be kept as a scene)
+        assert "# note: cycles.duration" in out
         assert scene["domain"]["cell_size"] == "4 um"
         assert scene["numerics"]["courant"] == 0.7
     mpi.barrier()
@@ -232,6 +235,27 @@ def test_mpirun_gets_the_exit_code_of_bad_input(tmp_path):
     assert 'did you mean "domain.cell_size"' in said[0]
     assert "Traceback" not in done.stderr
     assert os.listdir(tmp_path) == ["two.toml"]
+
+
+@pytest.mark.parametrize(("changes", "keys"), [
+    ([], []), (["cycles.count=40"], ["domain.size"]), (["cycles.last_duration=60 ns"], ["cycles.last_duration"]),
+    (["particles.speed=300 m/s"], ["cycles.duration", "cycles.last_duration"]),
+    (["particles.speed=300 m/s", "cycles.count=40"], ["domain.size", "cycles.duration"])])
+def test_a_low_box_and_short_cycles_are_told_and_what_is_enough(changes, keys):
+    """Each note in turn is followed until none is left.
+
+    Fails if ``scene_notes`` leaves one out or tells it of a scene that is right, or if ``_late`` takes another height
+    than that of the layer's bottom, or of the deposit at the end.
+    """
+    changes, told = list(changes), []
+    while notes := scene_notes(scene := load_scene("quickstart", changes), make_batches(scene)):
+        key, text = notes[0].split(": ", 1)
+        told.append(key)
+        enough = re.search(r"; ([\d.]+ [a-z]+) let all|make the box ([\d.]+ [a-z]+) high", text)
+        size = [f"{length} m" for length in scene.domain.size[:2]]
+        changes.append(f"{key}={json.dumps([*size, enough[2]]) if enough[2] else enough[1]}")
+        assert len(told) <= len(keys), notes
+    assert told == keys
 
 
 @pytest.mark.mpi

@@ -9,7 +9,7 @@ import pathlib
 from f2s_hpc import mpi, places
 from f2s_hpc._jit import kernels_are_compiled
 from f2s_hpc.analysis.table import TABLE_KEY, format_table, where_the_time_went
-from f2s_hpc.cli.notes import scene_notes
+from f2s_hpc.cli.notes import median_diameter, scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
@@ -25,7 +25,7 @@ from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.io.manifest import text_digest
 from f2s_hpc.particles.batch import clipped_volume, write_csv
 from f2s_hpc.particles.plan import BatchPlan, make_batches
-from f2s_hpc.units import count_text, pretty_bytes
+from f2s_hpc.units import count_text, pretty, pretty_bytes
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import Balance, balance_of_run
 
@@ -54,9 +54,17 @@ def check(scene: Scene) -> str:
     parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
-                    more=[("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
+                    more=[("resolution", _resolution_line(scene, plan)),
+                          ("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
                           ("imbalance", _balance_line(balance))])
-    return "\n".join([text, *(f"note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
+    return "\n".join([text, *(f"# note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
+
+
+def _resolution_line(scene: Scene, plan: BatchPlan) -> str:
+    """Return how many cells lie across the median particle, on which the error of a run depends."""
+    median = median_diameter(scene, plan)
+    return (f"{median / scene.domain.cell_size:.3g} cells across the median particle of {pretty(median, 'length', 3)}; "
+            "how accurate that is: README, 'Which cells to choose'")
 
 
 def _memory_line(scene: Scene, balance: Balance, plan: BatchPlan) -> str:
