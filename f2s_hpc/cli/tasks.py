@@ -133,7 +133,7 @@ def resume(folder: str, overrides: list[str]) -> int:
         if key.split(".")[0].strip() not in ("run", "output") and key != "cycles.count":
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections and '
                              "cycles.count")
-    mpi.run_together(places.run_folder, folder)
+    mpi.run_together(_refuse_other_folders, folder)
     _announce_compiling()
     with runs.hold(folder):
         return _resume(folder, overrides)
@@ -165,6 +165,13 @@ def _resume(folder: str, overrides: list[str]) -> int:
         _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
              f"{1e6 * clock.time:.4f} us, on {count_text(mpi.size(), 'rank')}")
     return _finish(simulation, folder)
+
+
+def _refuse_other_folders(folder: str) -> None:
+    """Raise ``InputError`` for what is no run's folder, before a lock is left there."""
+    place = places.run_folder(folder) / layout.CHECKPOINTS
+    if places.kind(place) != places.FOLDER:
+        raise InputError(f"{place}: no such folder; is {folder} the folder of a run?")
 
 
 def _checkpoint_attributes(path: os.PathLike) -> dict:
