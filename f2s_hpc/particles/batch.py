@@ -140,7 +140,8 @@ def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
     rows = read_rows(path, "a CSV file with the columns x,y,z,r is needed")
     if not rows:
         raise InputError(f"{path}: the file is empty; the first line must be x,y,z,r, then one sphere per row")
-    header = [name.strip().lower() for name in rows[0]]
+    header = [name.strip() for name in rows[0]]
+    header = [name.lower() if name.lower() in KNOWN_COLUMNS else name for name in header]
     _check_header(path, header)
     order = [name for name in KNOWN_COLUMNS if name in header]
     kinds = dict.fromkeys(COLUMNS, _metres) | dict.fromkeys(VELOCITY_COLUMNS, _metres_per_second) | {
