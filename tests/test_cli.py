@@ -17,7 +17,7 @@ from conftest import launch
 from f2s_hpc import mpi
 from f2s_hpc.cli import tasks
 from f2s_hpc.cli.main import _parser, main
-from f2s_hpc.cli.notes import scene_notes
+from f2s_hpc.cli.notes import crowded_nodes, scene_notes
 from f2s_hpc.config import load_scene, scene_hash, scene_names
 from f2s_hpc.particles.batch import read_csv
 from f2s_hpc.particles.plan import make_batches
@@ -138,6 +138,16 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
         assert scene["numerics"]["courant"] == 0.7
     mpi.barrier()
     assert snapshot(workplace) == before
+
+
+def test_more_ranks_than_cores_are_told(capsys, monkeypatch, tmp_path):
+    """Fails if ranks are counted over all nodes, or ``_finish`` does not ask."""
+    assert crowded_nodes([("one", 2), ("two", 2), ("one", 2), ("two", 2)]) == []
+    assert crowded_nodes([("one", 4), ("two", 2), ("two", 2), ("two", 2)])[0].startswith("3 ranks share 2 cores of two")
+    monkeypatch.setattr(tasks, "crowded_nodes", lambda ranks: [f"{len(ranks)} asked"])
+    assert main(["run", "splat-quarter", "--out", str(tmp_path / "r"), "--set", "cycles.duration=1 ns", "--set",
+                 "domain.cell_size=6 um", "--set", "output.picture=false"]) == 0
+    assert f"note: {mpi.size()} asked" in capsys.readouterr().out
 
 
 @pytest.mark.mpi

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import platform
+from collections import Counter
 
 import numpy as np
 
@@ -10,7 +13,7 @@ from f2s_hpc.analysis.depth import weighted_percentiles
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.particles.batch import Batch, clipped_volume
 from f2s_hpc.particles.plan import BatchPlan
-from f2s_hpc.units import pretty
+from f2s_hpc.units import count_text, pretty
 
 LEAST_CELLS = 2.0
 """With fewer cells to its diameter a particle is not resolved at all."""
@@ -72,6 +75,19 @@ def _late(scene: Scene, batch: Batch, height: float, time: float) -> tuple[float
     down = speed > 0.0
     needed = (batch.z[down] + scene.domain.layer_bottom - height) / speed[down]
     return float((needed > time).mean()) if down.any() else 0.0, float(needed.max(initial=0.0))
+
+
+def node_and_cores() -> tuple[str, int]:
+    """Return the name of this rank's node and the number of its cores."""
+    return platform.node(), os.cpu_count() or 1
+
+
+def crowded_nodes(ranks: list[tuple[str, int]]) -> list[str]:
+    """Return a line on the node with most ranks per core, if that is more than one; ``ranks``: what each told."""
+    (node, cores), count = max(Counter(ranks).items(), key=lambda item: item[1] / item[0][1])
+    if count <= cores:
+        return []
+    return [f"{count} ranks share {count_text(cores, 'core')} of {node}; a run is fastest with one rank per core"]
 
 
 def _rounded_sides(scene: Scene) -> list[str]:

@@ -9,7 +9,7 @@ import pathlib
 from f2s_hpc import mpi, places
 from f2s_hpc._jit import kernels_are_compiled
 from f2s_hpc.analysis.table import TABLE_KEY, format_table, where_the_time_went
-from f2s_hpc.cli.notes import median_diameter, scene_notes
+from f2s_hpc.cli.notes import crowded_nodes, median_diameter, node_and_cores, scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
@@ -245,6 +245,8 @@ def _same_run(scene: Scene, own: Scene, path: pathlib.Path, place: pathlib.Path)
 
 
 def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
+    for note in crowded_nodes(mpi.all_gather(node_and_cores())):
+        _say(f"note: {note}")
     status = simulation.run()
     folder = pathlib.Path(folder)
     found = [(text, folder / name) for text, name in (
