@@ -7,7 +7,7 @@ import os
 import pathlib
 
 from f2s_hpc import mpi, places
-from f2s_hpc._jit import kernels_are_compiled
+from f2s_hpc._jit import is_compiled
 from f2s_hpc.analysis.table import TABLE_KEY, format_table, where_the_time_went
 from f2s_hpc.cli.notes import crowded_nodes, median_diameter, node_and_cores, scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
@@ -23,6 +23,7 @@ from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.io.manifest import text_digest
+from f2s_hpc.kernels import strain
 from f2s_hpc.particles.batch import clipped_volume, write_csv
 from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.units import count_text, pretty, pretty_bytes
@@ -113,7 +114,8 @@ def run(scene: Scene, out: str) -> int:
 
 
 def _announce_compiling() -> None:
-    if mpi.is_root() and not kernels_are_compiled():
+    # (one of the last in a first step: f2s check has compiled others)
+    if mpi.is_root() and not is_compiled(strain.lagrangian_step):
         _say("note: the kernels are compiled now, once: until the first step that takes a minute or so")
 
 
