@@ -6,6 +6,11 @@
 #   LAUNCH      how ranks are started: "mpirun -n" (if not set), or for example "srun --mpi=pmix -n"
 #   DRY_RUN=1   print the commands instead of running them
 
+# JOB_SCRIPT is the job itself where it is another one's with a scene of its own.
+case "${1:-}" in
+    -h | --help) sed -n '2,/^[^#]/{/^#SBATCH/d;s/^# \{0,1\}//p;}' "${JOB_SCRIPT:-$0}"; exit 0 ;;
+esac
+
 LAUNCH=${LAUNCH:-mpirun -n}
 ASKED_TO_END=no # SIGTERM came: somebody, or the batch system, wants this job to be over
 NTASKS=${SLURM_NTASKS:-2}

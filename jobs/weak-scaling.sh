@@ -24,6 +24,7 @@ set -euo pipefail
 
 F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}
 . "$F2S_ROOT/jobs/common.sh"
+[ $# -eq 0 ] || { echo "jobs/weak-scaling.sh: takes variables, no arguments; --help names them" >&2; exit 2; }
 SCENE=${SCENE:-section4}
 CELL_SIZE=${CELL_SIZE:-3 um}
 DURATION=${DURATION:-100 ns}

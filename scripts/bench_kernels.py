@@ -23,7 +23,8 @@ from f2s_hpc.errors import F2SError
 def main(arguments: list[str]) -> int:
     """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--states", default=",".join(states.STATES), metavar="NAME[,NAME..]")
+    parser.add_argument("--states", default=",".join(states.STATES), metavar="NAME[,NAME..]",
+                        help="of: " + ", ".join(states.STATES))
     parser.add_argument("--sizes", default=",".join(kernels.SIZES), metavar="SIZE[,SIZE..]",
                         help="S, M, L, XL: 8,192 to 524,288 cells")
     parser.add_argument("--json", metavar="FILE", help="write all rows as JSON")

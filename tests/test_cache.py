@@ -103,3 +103,14 @@ def test_a_cache_that_cannot_be_made_is_no_error(tmp_path):
     """Fails if making the folder ends in a traceback."""
     (tmp_path / "file").touch()
     assert asked(F2S_CACHE_DIR=str(tmp_path / "file")) == str(tmp_path / "file" / OWN)
+
+
+def test_a_kernel_is_compiled_only_where_it_is_itself(tmp_path):
+    """As ``f2s check`` compiles some that a run needs, but not those of the step, which take a minute.
+
+    Fails if ``is_compiled`` looks for any kernel.
+    """
+    code = ("from f2s_hpc._jit import is_compiled; from f2s_hpc.kernels import scratch, strain;"
+            "before = is_compiled(scratch.rank); scratch.rank(1.0);"
+            "print(before, is_compiled(scratch.rank), is_compiled(strain.lagrangian_step), is_compiled(len))")
+    assert asked(code, F2S_CACHE_DIR=str(tmp_path)) == "False True False True"

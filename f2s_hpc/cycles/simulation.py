@@ -292,12 +292,13 @@ class Simulation:
             self.folder.draw(summary, self.plan)
         trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
-        p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
-        t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"
+        # (none as long as nothing has landed)
+        p50 = f" PEEQ {row['peeq_p50']:.2f}," if row["peeq_p50"] is not None else ""
+        t50 = f" {row['temperature_p50_degC']:.0f} degC," if row["temperature_p50_degC"] is not None else ""
         self.progress.say(
             f"cycle {self.cycle}/{self.scene.cycles.count} done: {count_text(row['particles'], 'particle')}, dense "
             f"height {1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
-            f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
+            f"{1e6 * row['height_max_m']:.1f} um,{p50}{t50} loss "
             f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
             + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))
 
