@@ -77,7 +77,7 @@ class Simulation:
         self.status = RUNNING
         self.picture: pathlib.Path | None = None  # made at the end
         self.saved_at = 0.0  # wall time of this session (s) at the newest checkpoint
-        self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the first step
+        self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the start
 
     # --- start and resume ---------------------------------------------------------------------------
 
@@ -196,8 +196,8 @@ class Simulation:
         """Run one cycle to its end; False when a stop was asked for and a checkpoint was written."""
         duration = self.scene.cycles.durations[self.cycle]
         if not self.batch_is_in:
-            if self.cycle and self.scene.cycles.dwell is not None:
-                self.progress.say(self.pause.take(flight_speed(self.plan.batches, self.scene.top_speed), self.rows[-1]))
+            if self.cycle and self.scene.cycles.dwell is not None and not self._dwell():
+                return False
             self.insert()
         clock = self.clock
         follow = None if self.tracers is None else self._follow
@@ -207,9 +207,7 @@ class Simulation:
             if landed is not None and self.tracers is not None:
                 self.tracers.seed(landed, clock.time)
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
-            if self.startup is None:
-                self.startup = measure.process_age(), measure.peak_memory()
-                phases.started(self.stages)
+            self._end_startup()
             if clock.remaps % REMAPS_PER_RELEASE == 0:
                 self.state.release_empty()
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration, self._fastest_in_flight)
@@ -223,14 +221,39 @@ class Simulation:
                 self.folder.write_view(self.state, self.model, self.view_frame, clock.time)
                 self.view_frame += 1
             if (clock.stop or clock.save) and goes_on:
-                refuse_what_is_not_finite(self.state)
-                path = self._checkpoint()
-                self.progress.say((f"stopped: {self.stop.reason()}; " if clock.stop else "") + f"checkpoint {path}")
+                self._save(clock.stop)
                 if clock.stop:
                     self._index_view()
                     return False
         self._finish_cycle(duration)
         return not clock.stop or self.cycle == self.scene.cycles.count
+
+    def _dwell(self) -> bool:
+        """Let the deposit dwell before the next batch; False when a stop was asked for and a checkpoint was written."""
+        self._end_startup()
+
+        def asks(left: float) -> int:
+            self.progress.dwell(left, self.scene.cycles.dwell, self.cycle, self.scene.cycles.count)
+            return self._request()
+
+        while asked := self.pause.take(asks):
+            self._save(asked >= STOP)
+            if asked >= STOP:
+                return False
+        self.progress.say(self.pause.told(flight_speed(self.plan.batches, self.scene.top_speed), self.rows[-1]))
+        return True
+
+    def _end_startup(self) -> None:
+        """Note what the start took: up to the end of the first step, or to a dwell with which a resumed run begins."""
+        if self.startup is None:
+            self.startup = measure.process_age(), measure.peak_memory()
+            phases.started(self.stages)
+
+    def _save(self, stops: bool) -> None:
+        """Write a checkpoint within a cycle or a dwell, and say so."""
+        refuse_what_is_not_finite(self.state)
+        path = self._checkpoint()
+        self.progress.say((f"stopped: {self.stop.reason()}; " if stops else "") + f"checkpoint {path}")
 
     def _request(self) -> int:
         """Return what this rank asks for: the end of the run, or on rank 0 a checkpoint now and then in long cycles."""
