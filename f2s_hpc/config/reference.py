@@ -32,7 +32,7 @@ the file, below its section:
 
     [domain]
     cell_size = "3 um"'''
-_SI_UNIT = re.compile(r", (?:m|s|m/s|1/\(m s\)|K|1/K|1/s|Pa|kg/m3|J/kg/K|W/m/K)(?=;|$)")
+_SI_UNIT = re.compile(r", (?:m|s|m/s|1/\(m s\)|K|1/K|1/s|Pa|kg/m3|J/kg/K|W/m/K)(?=[;,]|$)")
 _BOUNDS = (("gt", "above"), ("ge", "of at least"), ("lt", "below"), ("le", "at most"))
 _PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 LEFT_OUT = "  (may be left out)"
