@@ -45,6 +45,7 @@ DIMENSIONS: dict[str, Dimension] = {d.name: d for d in (
     Dimension("inverse temperature", (0, 0, 0, -1), "0.0043 1/K", ("1/K",)),
     Dimension("speed curvature", (-1, 0, -1, 0), "-6 m/s/mm2", ("m/s/mm2",)),
     Dimension("speed per diameter", (0, 0, -1, 0), "-0.6 m/s/um", ("m/s/um",)),
+    Dimension("temperature per diameter", (-1, 0, 0, 1), "-2 K/um", ("K/um",)),
     Dimension("speed slope", (0, 0, -1, 0), "1.5 m/s/mm", ("m/s/mm",)),
     Dimension("mass flow", (0, 1, -1, 0), "42.2 g/min", ("g/min",)),
     Dimension("volume", (3, 0, 0, 0), "0.04 mm3", ("mm3",)),

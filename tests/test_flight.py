@@ -229,7 +229,7 @@ def test_a_sphere_that_would_start_in_another_or_in_material_starts_higher(setup
     raised = flight.launch(setup.state, spheres((33e-6, 30e-6, 84e-6, 9e-6), (50e-6, 30e-6, 36e-6, 9e-6),
                                                 (12e-6, 12e-6, 80e-6, 9e-6)), DOWN, 0.0)
     assert raised == 2
-    x, _, z, r = (a[:] for a in flight.spheres.arrays[:4])
+    x, z, r = flight.spheres.x, flight.spheres.z, flight.spheres.r
     assert np.hypot(x[1] - x[0], z[1] - z[0]) >= r[0] + r[1]
     assert z[2] - r[2] >= 9.0 * DX
     assert z[3] == 80e-6

@@ -270,7 +270,7 @@ def test_a_sphere_that_waited_is_moved_out_of_the_batch_it_is_joined_to(setup):
     report = setup.put(batch)
     assert (report.spheres, report.moved, report.deferred) == (4, 1, None)
     assert "1 sphere moved" in report.message()
-    asked, placed = (np.array(which.arrays[:3]) for which in (batch, report.positions))
+    asked, placed = (np.array((which.x, which.y, which.z)) for which in (batch, report.positions))
     assert (placed != asked).any(axis=0).tolist() == [False, False, True, False]
     assert np.linalg.norm(placed[:, 2] - placed[:, 0]) >= 16e-6
     assert all(np.array_equal(placed, other) for other in mpi.all_gather(placed))

@@ -132,7 +132,7 @@ def test_speeds_follow_the_law_and_batches_their_seed():
     for batch, same in zip(plan.batches, again.batches):
         assert np.linalg.norm(batch.velocity, axis=1) == pytest.approx(law(scene, batch.x), rel=1e-13)
         assert batch.velocity == pytest.approx(law(scene, batch.x)[:, None] * direction, rel=1e-12)
-        assert all(np.array_equal(a, b) for a, b in zip(batch.arrays, same.arrays))
+        assert all(np.array_equal(a, b) for a, b in zip(batch.columns.values(), same.columns.values()))
     assert not np.array_equal(plan.batches[0].x, other.batches[0].x)
     assert plan.order == again.order
     assert any("particles fly at" in message for message in plan.messages)
@@ -149,7 +149,7 @@ def test_velocities_go_through_a_file_bit_for_bit(tmp_path):
     batch = make_batches(parse_scene(TRACK, "test")).batches[0]
     write_csv(tmp_path / "b.csv", batch)
     again = read_csv(tmp_path / "b.csv")
-    assert all(np.array_equal(a, b) for a, b in zip(batch.arrays, again.arrays, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(batch.columns.values(), again.columns.values(), strict=True))
     (tmp_path / "c.csv").write_text("vz,x,vx,y,r,z,vy\n-600,0.03,5,0.04,0.01,0.05,-7\n", encoding="ascii")
     one = read_csv(tmp_path / "c.csv")
     assert one.velocity.tolist() == [[5.0, -7.0, -600.0]]
@@ -289,7 +289,7 @@ def test_one_velocity_for_all_paints_the_very_bits_of_the_scenes_velocity():
     spheres = [(2, 30, 60, 11), (63, 33, 40, 14), (63, 33, 69, 15), (126, 60, 100, 12), (90, 20, 29, 12.5)]
     own, common = Box(), Box()
     batch = batch_of(*[(*sphere, *speed) for sphere in spheres])
-    assert own.put(batch).moved == common.put(Batch(*batch.arrays[:4]), speed).moved
+    assert own.put(batch).moved == common.put(batch.without_velocity(), speed).moved
     for name in own.state.saved:
         assert np.array_equal(own.whole(name), common.whole(name)), name
     assert own.ledger.totals() == common.ledger.totals()
@@ -305,7 +305,7 @@ def test_each_sphere_brings_its_own_mass_momentum_and_energy():
     batch = batch_of((30, 30, 60, 12, 10, 20, -600), (53.5, 33, 60, 11, -40, 5, -450), (95, 30, 90, 14, 0, -30, -550),
                      (95, 33, 30, 13, 30, 0, -300))
     assert box.put(batch).moved == 0
-    volume = np.array([clipped_volume(Batch(*(a[n:n + 1] for a in batch.arrays[:4])), *scene.domain.extents)
+    volume = np.array([clipped_volume(batch.chosen(slice(n, n + 1)), *scene.domain.extents)
                        for n in range(4)]) / (6 * UM) ** 3
     assert box.momentum() == pytest.approx(volume @ batch.velocity, rel=1e-11)
     painted = box.ledger.totals()["mass_painted"] * box.model.mass_quantum

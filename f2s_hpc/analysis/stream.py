@@ -128,7 +128,7 @@ def draw_batches(batches: Sequence[Batch], size_x: float, speed: float, path: st
         for number, batch in enumerate(batches, start=1):
             axes[0, 0].stairs(np.histogram(1e3 * batch.x, edges)[0], edges, color=f"C{(number - 1) % 10}",
                               label=f"batch {number}: {batch.count}")
-            speeds = np.full(batch.count, speed) if batch.velocity is None else np.linalg.norm(batch.velocity, axis=1)
+            speeds = np.full(batch.count, speed) if batch.velocity is None else batch.speed
             axes[0, 1].plot(1e3 * batch.x, speeds, ".", markersize=2.0, color=f"C{(number - 1) % 10}")
         if len(batches) <= 10:
             axes[0, 0].legend(fontsize=7, frameon=False)

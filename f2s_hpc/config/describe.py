@@ -122,6 +122,13 @@ def _speed(scene: Scene) -> str:
     return f"{text}; up to {pretty(across, 'speed')} along x" if across else text
 
 
+def _temperature_line(scene: Scene) -> list[tuple[str, str]]:
+    if not scene.particles.temperature_per_diameter:
+        return []
+    low, high = sorted(scene.particles.temperature_at(diameter) for diameter in scene.batches.diameter_range)
+    return [("temperature", f"{pretty(low, 'temperature', 4)} to {pretty(high, 'temperature', 4)} over diameter")]
+
+
 def _parts(cells_per_rank: Sequence[tuple[int, int, int]]) -> list[tuple[str, str]]:
     counts = [math.prod(cells) for cells in cells_per_rank]
     small, large = min(cells_per_rank, key=math.prod), max(cells_per_rank, key=math.prod)
@@ -149,6 +156,7 @@ def describe(scene: Scene, ranks: int, cells_per_rank: list[tuple[int, int, int]
         *_parts(cells_per_rank),
         ("particles", _particles_line(scene, particles, painted_volume)),
         ("speed", _speed(scene)),
+        *_temperature_line(scene),
         ("cycles", f"{count_text(scene.cycles.count, 'cycle')}, {pretty(total, 'time')} in all"),
         *_dwell_line(scene),
         ("time step", (f"about {pretty(step, 'time', 3)} (longitudinal waves at "

@@ -16,6 +16,7 @@ from f2s_hpc.config.quantities import (
     SpeedPerDiameter,
     SpeedSlope,
     Temperature,
+    TemperaturePerDiameter,
     Velocity,
     wrong,
 )
@@ -41,7 +42,12 @@ class Particles(Section):
         description="growth of the velocity along x with the squared distance from the axis, 1/(m s)")
     direction: tuple[Number, Number, Number] = Field(default=(0.0, 0.0, -1.0),
                                                      description="flight direction (x, y, z); normalised")
-    temperature: Temperature = Field(description="initial temperature, K")
+    temperature: Temperature = Field(description="initial temperature; of all particles, or with "
+                                                 "temperature_per_diameter of those of temperature_diameter, K")
+    temperature_per_diameter: TemperaturePerDiameter | None = Field(
+        default=None, description="growth of the temperature with the diameter beyond temperature_diameter, K/m")
+    temperature_diameter: PositiveLength | None = Field(
+        default=None, examples=["30 um"], description="diameter of the particles that temperature is meant for, m")
     flight: Literal["ballistic", "eulerian"] = Field(
         default="ballistic", description="until they meet something particles fly as analytic spheres, or painted onto "
                                          "the grid from the start (always in the standard scheme)")
@@ -57,11 +63,13 @@ class Particles(Section):
 
     @model_validator(mode="after")
     def _laws_have_their_parts(self) -> Particles:
-        if self.speed_per_diameter is not None and self.speed_diameter is None:
-            raise wrong("speed_diameter", "is missing: speed_per_diameter counts from the diameter that has "
-                                          'particles.speed, for example speed_diameter = "30 um"')
-        if self.speed_diameter is not None and self.speed_per_diameter is None:
-            raise wrong("speed_diameter", "has no effect without speed_per_diameter; leave it out")
+        for law in ("speed", "temperature"):
+            growth, diameter = getattr(self, f"{law}_per_diameter"), getattr(self, f"{law}_diameter")
+            if growth is not None and diameter is None:
+                raise wrong(f"{law}_diameter", f"is missing: {law}_per_diameter counts from the diameter that has "
+                                               f'particles.{law}, for example {law}_diameter = "30 um"')
+            if diameter is not None and growth is None:
+                raise wrong(f"{law}_diameter", f"has no effect without {law}_per_diameter; leave it out")
         if self.lateral and self.direction[0] != 0.0:
             raise wrong(self.lateral[0], "is a velocity along x, across the jet, but particles.direction leans along "
                                          "x; leave one of them out")
@@ -93,6 +101,16 @@ class Particles(Section):
         if not self.speed_per_diameter:
             return speed
         return speed + self.speed_per_diameter * (diameter - self.speed_diameter)
+
+    def temperature_at(self, diameter):
+        """Return the temperature (K) of particles of ``diameter`` (m, a number or an array).
+
+        temperature + temperature_per_diameter (diameter - temperature_diameter): the gas heats and cools small
+        particles faster than large ones. Ge et al. 2026 take one temperature for all.
+        """
+        if not self.temperature_per_diameter:
+            return self.temperature
+        return self.temperature + self.temperature_per_diameter * (diameter - self.temperature_diameter)
 
     def lateral_at(self, distance):
         """Return the velocity along x (m/s) at ``distance`` (m, a number or an array) along x from the jet's axis.

@@ -34,6 +34,7 @@ Velocity = _quantity("speed")
 SpeedSlope = _quantity("speed slope")
 SpeedCurvature = _quantity("speed curvature")
 SpeedPerDiameter = _quantity("speed per diameter")
+TemperaturePerDiameter = _quantity("temperature per diameter")
 Temperature = _quantity("temperature", ge=0)
 PositivePressure = _quantity("pressure", gt=0)
 ElasticModulus = _quantity("pressure", ge=1e6, le=1e13)  # rubber has 10 MPa, diamond 1.2 TPa

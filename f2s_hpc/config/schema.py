@@ -80,15 +80,19 @@ def _check_sleep(scene: Scene) -> None:
 
 
 def _check_temperatures(scene: Scene) -> None:
-    """Raise if something is molten at the start."""
-    melting = scene.melting_temperature
+    """Raise if something is molten at the start, or colder than anything is."""
     for key, value in (("particles.temperature", scene.particles.temperature),
                        ("substrate.temperature", scene.substrate.temperature)):
-        if melting is not None and value >= melting:
-            raise wrong(key, f"must be below the melting temperature ({units.pretty(melting, 'temperature')})")
-        if value > HOTTEST:
-            raise wrong(key, f"must be at most {units.pretty(HOTTEST, 'temperature')}, where no metal is solid; is its "
-                             "unit right?")
+        problem = scene.temperature_problem(value)
+        if problem:
+            raise wrong(key, problem)
+    for diameter in scene.batches.diameter_range:
+        value = scene.particles.temperature_at(diameter)
+        problem = scene.temperature_problem(value)
+        if problem:
+            raise wrong("particles.temperature_per_diameter",
+                        f"makes {units.pretty(value, 'temperature', 4)} for a diameter of {length_text(diameter)}, "
+                        f"which {problem}")
 
 
 def _check_speeds(scene: Scene) -> None:
@@ -273,6 +277,18 @@ class Scene(Section):
         """Highest speed (m/s) of any particle: what the numerics' speed limits and the energies refer to."""
         across = self.top_lateral_velocity
         return math.hypot(self.speed_range[1], across) if across else self.speed_range[1]
+
+    def temperature_problem(self, value: float) -> str:
+        """Return what is wrong with material of ``value`` (K) at its start, as "must be ..."; "" if nothing."""
+        melting = self.melting_temperature
+        if not value >= 0.0:
+            return "must be above absolute zero"
+        if melting is not None and value >= melting:
+            return f"must be below the melting temperature ({units.pretty(melting, 'temperature')})"
+        if value > HOTTEST:
+            hottest = units.pretty(HOTTEST, "temperature")
+            return f"must be at most {hottest}, where no metal is solid; is its unit right?"
+        return ""
 
     @property
     def ballistic(self) -> bool:

@@ -16,7 +16,7 @@ from f2s_hpc.cycles.insert import OVERFILL, fullest_cells, shareable_volume
 from f2s_hpc.errors import UnstableStep
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.kernels import paint
-from f2s_hpc.particles.batch import Batch, clipped_volume, join
+from f2s_hpc.particles.batch import Batch, clipped_volume, from_lists, join, to_lists
 from f2s_hpc.particles.meeting import REACH, waits
 from f2s_hpc.particles.packing import settle_in_order
 from f2s_hpc.state import State
@@ -63,7 +63,7 @@ class Flight:
     def at(self, time: float) -> Batch:
         """Return the spheres where they are at ``time`` (s), each with its own velocity."""
         s, moved = self.spheres, self.velocity * (time - self.start)[:, None]
-        return Batch(s.x + moved[:, 0], s.y + moved[:, 1], s.z + moved[:, 2], s.r, self.velocity)
+        return Batch(s.x + moved[:, 0], s.y + moved[:, 1], s.z + moved[:, 2], s.r, self.velocity, s.temperature)
 
     def volume(self, time: float) -> float:
         """Return the volume (m3) of the spheres in flight at ``time`` (s), cut by the walls of the box."""
@@ -81,8 +81,8 @@ class Flight:
         """
         speeds = np.tile(velocity, (batch.count, 1)) if batch.velocity is None else batch.velocity
         flying = self.at(time)
-        placed, raised = self._free_places(state, Batch(*batch.arrays[:4]), flying)
-        self.spheres = join([Batch(*self.spheres.arrays[:4]) if self.count else None, placed])
+        placed, raised = self._free_places(state, batch.without_velocity(), flying)
+        self.spheres = join([self.spheres, placed])
         self.velocity = np.concatenate([self.velocity, speeds])
         self.start = np.concatenate([self.start, np.full(batch.count, time)])
         self.lifted = np.concatenate([self.lifted, raised])
@@ -138,11 +138,11 @@ class Flight:
 
     def _take(self, now: Batch, chosen: np.ndarray) -> tuple[Batch, tuple[float, float, float]]:
         keep, taken = ~chosen, now.chosen(chosen)
-        self.spheres = Batch(*self.spheres.arrays[:4]).chosen(keep)
+        self.spheres = self.spheres.chosen(keep)
         for name in ("velocity", "start", "contact", "lifted"):
             setattr(self, name, getattr(self, name)[keep])
         same = (taken.velocity == taken.velocity[0]).all()
-        return Batch(*taken.arrays[:4], None if same else taken.velocity), tuple(taken.velocity[0])
+        return taken.without_velocity() if same else taken, tuple(taken.velocity[0])
 
     def _overlapping(self, now: Batch, chosen: np.ndarray) -> np.ndarray:
         """Hold back and raise each chosen sphere that has run into a lower one: those do that meet above the box."""
@@ -220,13 +220,13 @@ class Flight:
 
     def attributes(self) -> dict:
         """Return what a checkpoint must hold."""
-        return {"spheres": [a.tolist() for a in self.spheres.arrays[:4]], "velocity": self.velocity.tolist(),
+        return {"spheres": to_lists(self.spheres), "velocity": self.velocity.tolist(),
                 "start": self.start.tolist(), "contact": [float(c) if np.isfinite(c) else None for c in self.contact],
                 "lifted": self.lifted.tolist(), "calls": self.calls, "raised": self.raised}
 
     def restore(self, saved: dict) -> None:
         """Take back what :meth:`attributes` returned."""
-        self.spheres = Batch(*(np.array(a, dtype=float) for a in saved["spheres"]))
+        self.spheres = from_lists(saved["spheres"])
         self.velocity = np.array(saved["velocity"], dtype=float).reshape(-1, 3)
         self.start = np.array(saved["start"], dtype=float)
         self.contact = np.array([np.inf if c is None else c for c in saved["contact"]], dtype=float)

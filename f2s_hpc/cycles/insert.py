@@ -166,7 +166,8 @@ def paint_batch(state: State, model: Model, batch: Batch, layer_bottom: float, v
                 temperature: float, ledger: Ledger, seed: int) -> InsertReport:
     """Put a batch (z from ``layer_bottom``, m) into the box, stress-free, at ``velocity`` and ``temperature`` (K).
 
-    Spheres with velocities of their own fly at those instead of ``velocity`` (m/s).
+    Spheres with velocities of their own fly at those instead of ``velocity`` (m/s), those with temperatures of their
+    own have those.
     The parts of spheres beyond the sides of the box are cut off, as the sides are mirrors.
     Collective; all ghosts are valid before and after.
     """
@@ -206,28 +207,33 @@ def _add(state: State, model: Model, batch: Batch, velocity: tuple[float, float,
          ledger: Ledger, report: InsertReport, planes: slice | None = None) -> None:
     added = sparse_zeros(state.part.cell_shape)
     spheres = (batch.x, batch.y, batch.z, batch.r)
-    if batch.velocity is None:
-        paint.add_spheres(*spheres, state.part.offset, state.part.box.dx, added)
+    own = [values for values in (batch.velocity, batch.temperature) if values is not None]
+    if own:
+        values = np.column_stack(own)
+        means = tuple(sparse_zeros(state.part.cell_shape) for _ in range(values.shape[1]))
+        paint.add_different_spheres(*spheres, values, state.part.offset, state.part.box.dx, added, means)
+        velocity = velocity if batch.velocity is None else means[:3]
+        temperature = temperature if batch.temperature is None else means[-1]
     else:
-        velocity = tuple(sparse_zeros(state.part.cell_shape) for _ in range(3))
-        paint.add_moving_spheres(*spheres, batch.velocity, state.part.offset, state.part.box.dx, added, *velocity)
+        paint.add_spheres(*spheres, state.part.offset, state.part.box.dx, added)
     quanta = add_material(state, model, added, velocity, temperature, ledger, planes)
     report.volume = sum(mpi.all_gather(quanta)) * model.mass_quantum * state.part.box.dx**3
 
 
 def add_material(state: State, model: Model, added: np.ndarray,
                  velocity: tuple[float, float, float] | tuple[np.ndarray, np.ndarray, np.ndarray],
-                 temperature: float, ledger: Ledger, planes: slice | None = None) -> int:
+                 temperature: float | np.ndarray, ledger: Ledger, planes: slice | None = None) -> int:
     """Add ``added`` (full cells, local cells with ghosts) to the cells, stress-free; return its mass on this rank.
 
     The mass is in quanta of ``model.mass_quantum``; no cell may be overfilled. ``velocity`` (m/s), one for all
-    or as three arrays like ``added``, is mixed into the nodes by momentum, ``temperature`` (K) into the cells by mass.
+    or as three arrays like ``added``, is mixed into the nodes by momentum, ``temperature`` (K), one or an array like
+    ``added``, into the cells by mass.
     ``planes``: the planes (local k) that hold all of ``added``, ghosts included; then only those are looked at, and
     what is active must be known. Mass and kinetic energy enter the ledger. Collective; all ghosts are valid after, or
     with ``planes`` those that the next step reads.
     """
     flat, part = state.flat, state.part
-    own = isinstance(velocity[0], np.ndarray)
+    own, heat = isinstance(velocity[0], np.ndarray), np.atleast_1d(temperature)
     if planes is None:
         planes = slice(0, part.cell_shape[0])
         where, settle = state.around(added), state.settle
@@ -237,14 +243,14 @@ def add_material(state: State, model: Model, added: np.ndarray,
         chosen[planes] = True
         where, settle = state.of_planes(chosen), functools.partial(state.settle_planes, planes)
     # a mirrored normal velocity keeps its sign here, which does not matter: the nodes on its wall are held
-    for array in (added, *(velocity if own else ())):
+    for array in (added, *(velocity if own else ()), *((heat,) if heat.size > 1 else ())):
         state.boundary.fill(array.reshape(-1), _ALONE, ("mass",), where)
     before = _kinetic_quanta(state, model, planes)
     diluted = state.offsets(n for n in state.carried_cells if n != "temperature")
     plane = part.cell_shape[1] * part.cell_shape[2]
     cells = slice(planes.start * plane, planes.stop * plane)
     paint.merge_cells(added.reshape(-1)[cells], *(flat[n][cells] for n in ("mass", "volume_fraction", "temperature")),
-                      temperature, state.pool.memory, diluted + cells.start)
+                      heat.reshape(-1)[cells] if heat.size > 1 else heat, state.pool.memory, diluted + cells.start)
     if ORIGIN in state.views:
         there, mass, share = added[planes], state.views["mass"][planes], state.views[ORIGIN][planes]
         new = there > 0.0

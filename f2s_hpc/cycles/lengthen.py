@@ -42,7 +42,7 @@ def plan_of_cycles(folder: RunFolder, saved: Scene, attributes: dict) -> tuple[B
     plan = None
     if wanted > before:
         old = RunFolder(folder.path, saved).read_plan()
-        plan = mpi.run_together(make_batches, _with_own_files(scene, folder))
+        plan = mpi.run_together(make_batches, _with_own_files(scene, folder), bool(scene.batches.files))
         if plan_digest(plan, before) != plan_digest(old, before):
             raise InputError(f"{asked}: the batches that the scene gives are not those of this run; those in "
                              f"{folder.path / BATCHES} must be as they were, and generated ones come of the same "

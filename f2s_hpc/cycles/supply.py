@@ -5,12 +5,10 @@ Used by a run with its files and by the verification cases, which run cycles in 
 
 from __future__ import annotations
 
-import numpy as np
-
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.flight import Flight
 from f2s_hpc.cycles.insert import InsertReport, paint_arrivals, paint_batch
-from f2s_hpc.particles.batch import Batch, join
+from f2s_hpc.particles.batch import Batch, from_lists, join, to_lists
 from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.phases import phase
 from f2s_hpc.solver import sleep
@@ -87,13 +85,13 @@ class Supply:
 
     def attributes(self) -> dict:
         """Return what a checkpoint keeps of it."""
-        return {"particles": self.particles, "moved": self.moved, "waiting": [a.tolist() for a in self.waiting.arrays],
+        return {"particles": self.particles, "moved": self.moved, "waiting": to_lists(self.waiting),
                 "flight": None if self.flight is None else self.flight.attributes()}
 
     def restore(self, saved: dict) -> None:
         """Take up what :meth:`attributes` returned."""
         self.particles, self.moved = saved["particles"], saved["moved"]
-        self.waiting = Batch(*(np.array(a, dtype=float) for a in saved["waiting"]))
+        self.waiting = from_lists(saved["waiting"])
         if self.flight is not None:
             self.flight.restore(saved["flight"])
 

@@ -117,11 +117,12 @@ def add_spheres(x, y, z, r, offset, dx, added):
 
 
 @kernel
-def add_moving_spheres(x, y, z, r, velocity, offset, dx, added, u, v, w):
-    """Add spheres as :func:`add_spheres` does, and set ``u, v, w`` to the velocity (m/s) of what each cell was given.
+def add_different_spheres(x, y, z, r, values, offset, dx, added, means):
+    """Add spheres as :func:`add_spheres` does, and set each of ``means`` to the value of what each cell was given.
 
-    ``velocity``: (spheres, 3). In a cell that spheres share it is their mean by volume, merged in their order, so that
-    its momentum is theirs; in all other cells it has the very bits of the sphere's velocity.
+    ``values``: (spheres, n), such as velocities and temperatures; ``means``: n arrays like ``added``. In a cell that
+    spheres share it is their mean by volume, merged in their order, so that its momentum or heat is theirs; in all
+    other cells it has the very bits of the sphere's value.
     """
     nz, ny, nx = added.shape
     for s in range(x.size):
@@ -140,26 +141,27 @@ def add_moving_spheres(x, y, z, r, velocity, offset, dx, added, u, v, w):
                         old = added[c]
                         added[c] = old + new
                         old /= old + new
-                        u[c] = velocity[s, 0] + old * (u[c] - velocity[s, 0])
-                        v[c] = velocity[s, 1] + old * (v[c] - velocity[s, 1])
-                        w[c] = velocity[s, 2] + old * (w[c] - velocity[s, 2])
+                        for n in range(len(means)):
+                            means[n][c] = values[s, n] + old * (means[n][c] - values[s, n])
 
 
 @kernel
 def merge_cells(added, mass, fraction, temperature, new_temperature, memory, diluted):
     """Add new material at ``new_temperature`` (K), stress-free and unstrained, to the cells.
 
-    ``added``, ``mass``, ``fraction``, ``temperature``: flat cell arrays; ``diluted``: offsets into
-    ``memory`` of the mass-weighted fields that the new material brings as zero (stress, PEEQ, ...).
+    ``added``, ``mass``, ``fraction``, ``temperature``: flat cell arrays; ``new_temperature``: one for each cell, or an
+    array of one for all; ``diluted``: offsets into ``memory`` of the mass-weighted fields that the new material brings
+    as zero (stress, PEEQ, ...).
     """
+    own = new_temperature.size > 1
     for c in range(added.size):
         new = added[c]
         if new == 0.0:
             continue
         old = mass[c]
         whole = old + new
-        temperature[c] = new_temperature if old == 0.0 else temperature[c] + new / whole * (
-            new_temperature - temperature[c])
+        t = new_temperature[c if own else 0]
+        temperature[c] = t if old == 0.0 else temperature[c] + new / whole * (t - temperature[c])
         for f in range(diluted.size):
             memory[diluted[f] + c] *= old / whole
         mass[c] = whole

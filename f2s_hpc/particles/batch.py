@@ -20,9 +20,12 @@ from f2s_hpc import places
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.packing import smallest_gap_ratio, volume_inside
 from f2s_hpc.particles.sizes import SMALLEST
+from f2s_hpc.units import ZERO_CELSIUS
 
 COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
+TEMPERATURE_COLUMN = "temperature"
+KNOWN_COLUMNS = (*COLUMNS, *VELOCITY_COLUMNS, TEMPERATURE_COLUMN)
 LONGEST_QUOTE = 60  # characters of a bad value that a message shows: an unclosed quote swallows the rest of its file
 RINGING = 0.6
 """A third of so much of the highest speed is what resting surfaces may ring with."""
@@ -34,7 +37,7 @@ class Batch:
     """Spheres that enter together: centres ``x``, ``y``, ``z`` and radii ``r``, each (count,) float64 in metres.
 
     x and y from the corner of the box, z from the bottom of the particle layer. ``velocity`` (count, 3) float64 in m/s
-    is each sphere's own (x, y, z); None where all fly with the scene's velocity.
+    is each sphere's own (x, y, z), ``temperature`` (count,) float64 in K its own; None where all have the scene's.
     """
 
     x: np.ndarray
@@ -42,6 +45,7 @@ class Batch:
     z: np.ndarray
     r: np.ndarray
     velocity: np.ndarray | None = None
+    temperature: np.ndarray | None = None
 
     @property
     def count(self) -> int:
@@ -49,14 +53,23 @@ class Batch:
         return self.r.size
 
     @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """All arrays, as the constructor takes them."""
-        places = (self.x, self.y, self.z, self.r)
-        return places if self.velocity is None else (*places, self.velocity)
+    def speed(self) -> np.ndarray | None:
+        """Each sphere's own speed (count,) in m/s; None where all fly with the scene's velocity."""
+        return None if self.velocity is None else np.linalg.norm(self.velocity, axis=1)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The arrays that it has, by their names, in the order of the constructor."""
+        named = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
+        return {name: array for name, array in named if array is not None}
 
     def chosen(self, rows: np.ndarray | slice) -> Batch:
         """Return the batch of some of the spheres: a mask, indices or a slice."""
-        return Batch(*(array[rows].copy() for array in self.arrays))
+        return Batch(**{name: array[rows].copy() for name, array in self.columns.items()})
+
+    def without_velocity(self) -> Batch:
+        """Return the batch without velocities of its own."""
+        return dataclasses.replace(self, velocity=None)
 
     def raised(self, height: float) -> Batch:
         """Return the batch with every z raised by ``height`` (m)."""
@@ -90,15 +103,26 @@ def _metres_per_second(text: str, where: str, column: str) -> float:
     return value
 
 
+def _kelvin(text: str, where: str, column: str) -> float:
+    """Return a temperature in degC as kelvin, rounded once, not below absolute zero."""
+    try:
+        value = float(Decimal(text.strip()) + ZERO_CELSIUS)
+    except (InvalidOperation, Overflow, ValueError):
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"{where}: {column} is {_quoted(text)}, but must be a number in degC, like 450")
+    return value
+
+
 def _check_header(path: Path, header: list[str]) -> None:
     for name in COLUMNS:
         if name not in header:
             raise InputError(f"{path}: column {name!r} is missing; the first line must be x,y,z,r (millimetres), "
                              f"not {_quoted(','.join(header))}")
     for name in header:
-        if name not in COLUMNS + VELOCITY_COLUMNS or header.count(name) > 1:
-            raise InputError(f"{path}: unexpected column {_quoted(name)}; the first line must be x,y,z,r (millimetres) "
-                             "or x,y,z,r,vx,vy,vz (and m/s)")
+        if name not in KNOWN_COLUMNS or header.count(name) > 1:
+            raise InputError(f"{path}: unexpected column {_quoted(name)}; the first line must be x,y,z,r (millimetres),"
+                             " after which vx,vy,vz (m/s) and temperature (degC) may come")
     velocities = [name for name in VELOCITY_COLUMNS if name in header]
     if velocities and len(velocities) < 3:
         raise InputError(f"{path}: column {','.join(velocities)} without the others; give all of vx,vy,vz or none")
@@ -118,7 +142,7 @@ def _split_rows(path: Path, lines: Sequence[str]) -> list[list[str]]:
 def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
     """Return the batch of a CSV file: first line ``x,y,z,r``, then one sphere per row, millimetres.
 
-    The further columns ``vx,vy,vz`` (m/s) may give each sphere a velocity of its own.
+    The further columns ``vx,vy,vz`` (m/s) may give each sphere a velocity of its own, ``temperature`` (degC) its own.
     Row 1 is the first sphere; blank lines are skipped. Raises InputError, naming file and row, for a file that cannot
     be read, a missing or unexpected column, something that is no finite number, r <= 0, or no sphere at all
     unless it ``may_be_empty``.
@@ -134,28 +158,32 @@ def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
         raise InputError(f"{path}: the file is empty; the first line must be x,y,z,r, then one sphere per row")
     header = [name.strip() for name in rows[0]]
     _check_header(path, header)
-    order = [name for name in COLUMNS + VELOCITY_COLUMNS if name in header]
+    order = [name for name in KNOWN_COLUMNS if name in header]
+    kinds = dict.fromkeys(COLUMNS, _metres) | dict.fromkeys(VELOCITY_COLUMNS, _metres_per_second) | {
+        TEMPERATURE_COLUMN: _kelvin}
     spheres = np.empty((len(rows) - 1, len(order)))
     for number, row in enumerate(rows[1:], start=1):
         where = f"{path}: row {number}"
         if len(row) != len(header):
             raise InputError(f"{where}: {len(row)} values, but the header {','.join(order)} needs {len(order)}")
         for column, text in zip(header, row):
-            read = _metres if column in COLUMNS else _metres_per_second
-            spheres[number - 1, order.index(column)] = read(text, where, column)
+            spheres[number - 1, order.index(column)] = kinds[column](text, where, column)
         if spheres[number - 1, 3] <= 0.0:
             radius_text = row[header.index("r")].strip()
             raise InputError(f"{where}: r is {radius_text}, but a radius must be positive (millimetres)")
     if not len(spheres) and not may_be_empty:
         raise InputError(f"{path}: no sphere below the header; one row x,y,z,r per sphere is needed")
     places = (np.ascontiguousarray(column) for column in spheres[:, :4].T)
-    return Batch(*places, np.ascontiguousarray(spheres[:, 4:]) if len(order) > 4 else None)
+    return Batch(*places,
+                 velocity=np.ascontiguousarray(spheres[:, 4:7]) if VELOCITY_COLUMNS[0] in order else None,
+                 temperature=np.ascontiguousarray(spheres[:, -1]) if TEMPERATURE_COLUMN in order else None)
 
 
 def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     """Write a batch in the authors' format (``x,y,z,r``, millimetres), so that ``read_csv`` returns the same bits.
 
-    Spheres with velocities of their own get the columns ``vx,vy,vz`` (m/s) besides.
+    Spheres with velocities of their own get the columns ``vx,vy,vz`` (m/s) besides, with temperatures of their own
+    ``temperature`` (degC).
     The decimal digits of each number in metres are shifted by three places: up to 17 significant digits, as many
     as needed. Written under another name first, so that no half-written file is left.
     Raises InputError if the place cannot be written.
@@ -164,9 +192,25 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
     rows = [",".join(f"{Decimal(repr(float(value))).scaleb(3):f}" for value in sphere) for sphere in spheres]
     header = COLUMNS
     if batch.velocity is not None:
-        header = COLUMNS + VELOCITY_COLUMNS
+        header += VELOCITY_COLUMNS
         rows = [",".join([row, *map(repr, velocity)]) for row, velocity in zip(rows, batch.velocity.tolist())]
+    if batch.temperature is not None:
+        header += (TEMPERATURE_COLUMN,)
+        celsius = (Decimal(repr(value)) - ZERO_CELSIUS for value in batch.temperature.tolist())
+        rows = [f"{row},{value:f}" for row, value in zip(rows, celsius)]
     places.write_text(path, "\n".join([",".join(header), *rows]) + "\n")
+
+
+def to_lists(batch: Batch) -> dict[str, list]:
+    """Return the batch as lists by name, for JSON; :func:`from_lists` returns the same bits."""
+    return {name: array.tolist() for name, array in batch.columns.items()}
+
+
+def from_lists(saved: dict[str, list] | list[list]) -> Batch:
+    """Return the batch of :func:`to_lists`, or of the lists in the constructor's order that older checkpoints hold."""
+    if not isinstance(saved, dict):
+        saved = dict(zip((*COLUMNS, "velocity"), saved))
+    return Batch(**{name: np.array(values, dtype=float) for name, values in saved.items()})
 
 
 def clipped_volume(batch: Batch, box_x: float, box_y: float, box_z: float) -> float:
@@ -206,12 +250,13 @@ def check_inside(batch: Batch, label: str, size_x: float, size_y: float, height:
 def join(batches: Sequence[Batch | None]) -> Batch:
     """Return the spheres of all batches as one, in their order; what is empty or None adds nothing.
 
-    Either all batches with spheres have velocities of their own or none: a plan sees to that.
+    Either all batches with spheres have velocities of their own or none, likewise temperatures: a plan sees to that.
     """
-    filled = [batch for batch in batches if batch is not None and batch.count]
+    filled = [batch.columns for batch in batches if batch is not None and batch.count]
     if not filled:
         return Batch(*(np.empty(0) for _ in COLUMNS))
-    return Batch(*(np.concatenate(arrays) for arrays in zip(*(batch.arrays for batch in filled), strict=True)))
+    return Batch(**{name: np.concatenate([columns[name] for columns in filled])
+                    for name in dict.fromkeys(name for columns in filled for name in columns)})
 
 
 def stack(batches: Sequence[Batch], layer_height: float) -> Batch:
@@ -228,6 +273,6 @@ def flight_speed(batches: Sequence[Batch], top_speed: float) -> float:
     then count as landed where they touch what lies. ``top_speed``: the highest of the scene (m/s), which spheres
     without a velocity of their own have.
     """
-    speeds = [np.linalg.norm(batch.velocity, axis=1) for batch in batches if batch.velocity is not None]
+    speeds = [batch.speed for batch in batches if batch.velocity is not None]
     moving = [float(s[s > 0.0].min()) for s in speeds if (s > 0.0).any()]
     return max(min(top_speed, 1.4 * min(moving, default=top_speed)), RINGING * top_speed)

@@ -1,4 +1,4 @@
-"""The plan of a run's batches: read, listed or generated, with their velocities, and which enters in which cycle."""
+"""The plan of a run's batches: read, listed or generated, with velocities and temperatures, and which enters when."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from f2s_hpc.particles.batch import Batch, check_inside, read_csv, smallest_gap,
 from f2s_hpc.particles.lateral import SechProfile
 from f2s_hpc.particles.packing import crowd, pack
 from f2s_hpc.particles.sizes import RosinRammler
+from f2s_hpc.units import ZERO_CELSIUS, pretty
 
 MISFIT_WORTH_A_LINE = 0.01
 SPEED_TOLERANCE = 1e-9  # of the highest speed: a velocity with its own round-off does not exceed it
@@ -44,7 +45,7 @@ def plan_digest(plan: BatchPlan, cycles: int) -> str:
     """Return what tells the batches of the first ``cycles`` cycles from all others: SHA-256 of their bits."""
     digest = hashlib.sha256()
     for index in plan.order[:cycles]:
-        for array in plan.batches[index].arrays:
+        for array in plan.batches[index].columns.values():
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
@@ -213,30 +214,36 @@ def _check_laws(scene, batches: list[Batch]) -> None:
         raise InputError(f"particles.{key} has no effect where all batches.files give velocities; leave it out")
     if not scene.particles.speed_per_diameter:
         return
-    low, high = scene.batches.diameter_range
     for name, batch in zip(scene.batches.files, batches):
-        wrong = (2.0 * batch.r < low * (1.0 - SIZE_TOLERANCE)) | (2.0 * batch.r > high * (1.0 + SIZE_TOLERANCE))
-        if batch.velocity is None and wrong.any():
-            row = int(np.argmax(wrong))
-            raise InputError(f"{name}: row {row + 1}: a diameter of {2e3 * batch.r[row]:g} mm, for which "
-                             "particles.speed_per_diameter was not checked; let batches.diameter_min and diameter_max "
-                             f"({1e3 * low:g} and {1e3 * high:g} mm) hold it")
+        if batch.velocity is None:
+            _check_sizes(scene, name, batch, "speed_per_diameter")
 
 
-def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[Batch]:
+def _check_sizes(scene, name: str, batch: Batch, law: str) -> None:
+    """Raise where the file ``name`` has a sphere of a size that the ``law`` was not checked for."""
+    low, high = scene.batches.diameter_range
+    wrong = (2.0 * batch.r < low * (1.0 - SIZE_TOLERANCE)) | (2.0 * batch.r > high * (1.0 + SIZE_TOLERANCE))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(f"{name}: row {row + 1}: a diameter of {2e3 * batch.r[row]:g} mm, for which "
+                         f"particles.{law} was not checked; let batches.diameter_min and diameter_max "
+                         f"({1e3 * low:g} and {1e3 * high:g} mm) hold it")
+
+
+def _with_velocities(scene, batches: list[Batch], messages: list[str], kept: bool) -> list[Batch]:
     """Give all spheres velocities of their own if any has one, or the laws differ by place or size; check the highest.
     """
     own = [batch.velocity is not None for batch in batches]
     if not any(own) and not scene.particles.by_place and not scene.particles.speed_per_diameter:
         _warn_of_departure(scene, np.array(scene.particles.velocity[2:]), messages)
         return batches
-    if scene.particles.speed_per_diameter or scene.particles.lateral:
+    if (scene.particles.speed_per_diameter or scene.particles.lateral) and not kept:
         _check_laws(scene, batches)
     limit = scene.top_speed
     for name, batch in zip(scene.batches.files, batches):  # (their mirror images are as fast)
         if batch.velocity is not None:
             with np.errstate(over="ignore"):
-                speeds = np.linalg.norm(batch.velocity, axis=1)
+                speeds = batch.speed
             row = int(np.argmax(speeds))
             if speeds[row] > limit * (1.0 + SPEED_TOLERANCE):
                 raise InputError(f"{name}: row {row + 1}: {speeds[row]:.6g} m/s is above the highest speed of "
@@ -244,7 +251,7 @@ def _with_velocities(scene, batches: list[Batch], messages: list[str]) -> list[B
                                  "numerics refer")
     batches = [_by_laws(scene, batch) for batch in batches]
     _warn_of_departure(scene, np.concatenate([batch.velocity[:, 2] for batch in batches]), messages)
-    speeds = np.concatenate([np.linalg.norm(batch.velocity, axis=1) for batch in batches])
+    speeds = np.concatenate([batch.speed for batch in batches])
     across = np.concatenate([batch.velocity[:, 0] for batch in batches])
     messages.append(f"particles fly at {speeds.min():.1f} to {speeds.max():.1f} m/s, {speeds.mean():.1f} in the mean"
                     + (f"; {across.min():.1f} to {across.max():.1f} m/s along x" if scene.particles.lateral else ""))
@@ -260,7 +267,34 @@ def _warn_of_departure(scene, down: np.ndarray, messages: list[str]) -> None:
                         "negative z lead there")
 
 
-def make_batches(scene) -> BatchPlan:
+# --- temperatures -----------------------------------------------------------------------------------------------
+
+
+def _with_temperatures(scene, batches: list[Batch], messages: list[str], kept: bool) -> list[Batch]:
+    """Give all spheres temperatures of their own if any has one, or they differ by size; check those of files."""
+    law = bool(scene.particles.temperature_per_diameter)
+    own = [batch.temperature is not None for batch in batches]
+    if not any(own) and not law:
+        return batches
+    if all(own) and law and not kept:
+        raise InputError("particles.temperature_per_diameter has no effect where all batches.files give temperatures; "
+                         "leave it out")
+    for name, batch in zip(scene.batches.files, batches):  # (their mirror images are as hot)
+        if batch.temperature is None and law:
+            _check_sizes(scene, name, batch, "temperature_per_diameter")
+        for row, value in enumerate(() if batch.temperature is None else batch.temperature.tolist(), start=1):
+            problem = scene.temperature_problem(value)
+            if problem:
+                raise InputError(f"{name}: row {row}: temperature {pretty(value, 'temperature')} {problem}")
+    batches = [batch if batch.temperature is not None else dataclasses.replace(
+        batch, temperature=np.full(batch.count, 1.0) * scene.particles.temperature_at(2.0 * batch.r))
+        for batch in batches]
+    values = np.concatenate([batch.temperature for batch in batches]) - float(ZERO_CELSIUS)
+    messages.append(f"particles are at {values.min():.1f} to {values.max():.1f} degC, {values.mean():.1f} in the mean")
+    return batches
+
+
+def make_batches(scene, kept: bool = False) -> BatchPlan:
     """Read or generate the batches of a scene and order them over the cycles. For rank 0; same seed, same bits.
 
     Recurring scheme: each batch fills the particle layer; ``order[c]`` is the batch of cycle c, one permutation
@@ -269,8 +303,10 @@ def make_batches(scene) -> BatchPlan:
     scheme would spray (so fewer files than layers repeat), and becomes one batch for the one cycle. Explicit
     spheres are one batch. Batches are generated for the footprint as written in the scene, so they do not
     depend on the cell size. With ``batches.mirror_repeats`` a batch that comes again is mirrored (:func:`with_images`).
-    Where files give velocities, or the velocity depends on place or diameter, every sphere has its own.
-    Raises InputError for unreadable files, spheres outside the layer or too fast, or nothing to place.
+    Where files give velocities, or the velocity depends on place or diameter, every sphere has its own; likewise
+    temperatures; ``kept``: the files are the copies that a run keeps, which the laws have been applied to already.
+    Raises InputError for unreadable files, spheres outside the layer, too fast or molten, or nothing to
+    place.
     """
     wanted, height = scene.batches, float(scene.domain.particle_layer_height)
     cycles = scene.cycles.count
@@ -290,7 +326,8 @@ def make_batches(scene) -> BatchPlan:
         batches = _generate(scene, layer_height, batch_seeds, messages)
     order = cycle_order(layers if standard else cycles, len(batches), wanted.shuffle, shuffler)
     batches, order = with_images(batches, order, wanted.mirror_repeats, *map(float, scene.domain.size[:2]))
-    batches = _with_velocities(scene, batches, messages)
+    batches = _with_velocities(scene, batches, messages, kept)
+    batches = _with_temperatures(scene, batches, messages, kept)
     if not standard:
         return BatchPlan(batches, order, messages)
     return BatchPlan([stack([batches[index] for index in order], layer_height)], [0], messages)

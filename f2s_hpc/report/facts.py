@@ -73,6 +73,15 @@ def _shown(value: float, dimension: str, digits: int = 4) -> str:
     return pretty(value, dimension, digits).replace(" um", " µm").replace("degC", "°C")
 
 
+def _own_or_common(own: Sequence[np.ndarray | None], common: float, dimension: str) -> str:
+    """Return the range and mean of what the batches' spheres have as their own, else what is common to all."""
+    values = np.concatenate([np.empty(0), *(each for each in own if each is not None)])
+    if not values.size or values.min() == values.max():
+        return _shown(float(values[0]) if values.size else common, dimension)
+    low, high, mean = (_shown(float(value), dimension) for value in (values.min(), values.max(), values.mean()))
+    return f"{low} to {high}, {mean} in the mean"
+
+
 def scene_table(runs: Runs) -> Table:
     """Return the scene of each run as a table."""
     def box(m: Measurements) -> str:
@@ -85,8 +94,10 @@ def scene_table(runs: Runs) -> Table:
         ("cells", lambda m: f"{m.deposit.fraction.size:,}"),
         ("substrate", lambda m: f"{_shown(m.deposit.ground, 'length')} thick, "
                                 f"{_shown(m.deposit.scene.substrate.temperature, 'temperature')}"),
-        ("particle speed", lambda m: _shown(m.deposit.scene.particles.speed, "speed")),
-        ("particle temperature", lambda m: _shown(m.deposit.scene.particles.temperature, "temperature")),
+        ("particle speed", lambda m: _own_or_common([b.speed for b in m.deposit.batches],
+                                                    m.deposit.scene.particles.speed, "speed")),
+        ("particle temperature", lambda m: _own_or_common([b.temperature for b in m.deposit.batches],
+                                                          m.deposit.scene.particles.temperature, "temperature")),
         ("state shown", lambda m: f"end of cycle {m.deposit.cycle} of {m.deposit.scene.cycles.count}, "
                                   f"{1e6 * m.deposit.time:.3f} µs"),
         ("read from", lambda m: m.deposit.source.name)))

@@ -117,6 +117,7 @@ def is_section4(deposit: Deposit) -> bool:
     return (all(abs(length - _PAPER_PATCH) < 0.5 * domain.cell_size for length in domain.size[:2])
             and abs(particles.speed - _PAPER_SPEED) < 1.0
             and abs(particles.temperature - _PAPER_TEMPERATURE) < 1.0
+            and all(batch.velocity is None and batch.temperature is None for batch in deposit.batches)
             and deposit.scene.material.name == _PAPER_MATERIAL
             and deposit.diameters.size == _PAPER_PARTICLES)
 
