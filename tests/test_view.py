@@ -112,6 +112,27 @@ def test_a_stopped_run_goes_on_with_its_view(tmp_path, monkeypatch, capsys):
     assert vtkhdf.update_index(folder / layout.VIEW) == []
 
 
+def test_a_view_that_is_moved_on_the_way_is_told_once(tmp_path, monkeypatch, capsys):
+    """Fails if each picture of before gets a line of its own, or all of them one again after each cycle."""
+    scene, folder, advance = tmp_path / "scene.toml", tmp_path / "run", simulation.advance
+    scene.write_text(VIEWED, encoding="utf-8")
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        clock.stop = clock.time > 11e-9
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+    assert main(["run", str(scene), "--out", str(folder)]) == 75
+    monkeypatch.setattr(simulation, "advance", advance)
+    capsys.readouterr()
+    assert main(["resume", str(folder), "--set", "output.view.y=21 um"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "left out" in line]
+    names = f"{layout.frame_name(0)} to {layout.frame_name(1)}"
+    assert told == [(f"note: {folder / layout.VIEW}: 2 frames on another grid than the newest, left out of the index: "
+                     f"{names}")]
+    assert len(pictures(folder)) > 4
+
+
 def test_a_view_is_written_back_with_its_scene():
     """Fails where ``dump`` does not look into a tuple that may be absent."""
     scene = parse_scene(VIEWED, "scene")

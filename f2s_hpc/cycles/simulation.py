@@ -70,6 +70,7 @@ class Simulation:
         self.frame = 0
         self.intervals = 0  # frame intervals that have gone by
         self.view_frame, self.view_intervals = 0, 0  # the same of the view
+        self.noted: set[str] = set()
         self.substrate_quanta = 0
         self.active_at_start_of_cycle = 0
         self.spent = Spent()
@@ -336,17 +337,21 @@ class Simulation:
 
     @phase("output")
     def _frame(self, ends_cycle: bool) -> None:
-        for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle,
-                                            ends_cycle):
-            self.progress.say(f"note: {note}")
+        self._note(self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle, ends_cycle))
         self.frame += 1
 
     @phase("output")
     def _index_view(self) -> None:
         """Renew the index of the view's series: not with each picture, which would take longer each time."""
         if self.view_frame:
-            for note in self.folder.update_view(self.view_frame - 1):
+            self._note(self.folder.update_view(self.view_frame - 1))
+
+    def _note(self, notes: list[str]) -> None:
+        """Say what has not been said before: an index lacks the same frames each time."""
+        for note in notes:
+            if note not in self.noted:
                 self.progress.say(f"note: {note}")
+        self.noted.update(notes)
 
     # --- numbers ------------------------------------------------------------------------------------
 
