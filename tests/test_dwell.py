@@ -221,7 +221,8 @@ def whole(tmp_path_factory):
 def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared_path, monkeypatch, capsys):
     """Twice in three cycles; stopped at the end of a cycle and within the next, it ends in the same bits.
 
-    Fails if a resumed run dwells anew in the middle of a cycle, not at all, or the first batch is waited for.
+    Fails if a resumed run dwells anew in the middle of a cycle, not at all, or the first batch is waited for; and if
+    nobody says why a run stopped that did so at the end of a cycle.
     """
     folder, advance = shared_path / "run", simulation.advance
     scene = whole.parent / "scene.toml"
@@ -234,6 +235,7 @@ def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared
 
     monkeypatch.setattr(simulation, "advance", stopped)
     assert main(["run", str(scene), "--out", str(folder)]) == 75
+    assert ("stopped: the wall-time budget is spent" in capsys.readouterr().out) == mpi.is_root()
     at = next(stops)
     assert main(["resume", str(folder)]) == 75
     monkeypatch.setattr(simulation, "advance", advance)

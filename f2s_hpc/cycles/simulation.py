@@ -227,7 +227,10 @@ class Simulation:
                     self._index_view()
                     return False
         self._finish_cycle(duration)
-        return not clock.stop or self.cycle == self.scene.cycles.count
+        if not clock.stop or self.cycle == self.scene.cycles.count:
+            return True
+        self.progress.say(f"stopped: {self.stop.reason()}")
+        return False
 
     def _dwell(self) -> bool:
         """Let the deposit dwell before the next batch; False when a stop was asked for and a checkpoint was written."""
