@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import pathlib
@@ -187,6 +188,8 @@ class Simulation:
         except F2SError:
             self.status = FAILED
             self.folder.write_tables(self.rows, self.summary())
+            with contextlib.suppress(F2SError):  # (what went wrong first is to be told)
+                self._index_view()
             raise
         summary = self.summary()
         self.folder.write_tables(self.rows, summary)
