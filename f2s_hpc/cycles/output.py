@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import functools
 import io
 import json
 import math
@@ -64,11 +65,15 @@ class RunFolder:
         self.path = pathlib.Path(path)
         self.scene = scene
 
+    @functools.cached_property
+    def versions(self) -> dict:
+        """Which code is at work, and on which libraries."""
+        return {"version": f2s_hpc.__version__, **mpi.run_together(versions)}
+
     def provenance(self) -> dict:
         """Return what every file should say about its origin; rank 0 alone looks it up, all know it."""
-        return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **mpi.run_together(versions),
-                "scene_hash": scene_hash(self.scene), "scene": dump_scene(self.scene), "host": platform.node(),
-                "ranks": mpi.size()}
+        return {"code": "f2s_hpc", **self.versions, "scene_hash": scene_hash(self.scene),
+                "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
 
     def write_other_cycles(self, plan: BatchPlan | None) -> None:
         """Write the scene anew for a run whose number of cycles changes, and its batches where it has a new ``plan``.

@@ -142,7 +142,8 @@ class Simulation:
         """Return all that a resumed run needs besides the fields; the same on any rank count."""
         clock, rates = self.clock, self.clock.limits.over_ranks()
         return {
-            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "step": clock.steps,
+            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "versions": self.folder.versions,
+            "step": clock.steps,
             "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
                       "remaps": clock.remaps, "between_remaps": clock.between_remaps, "dt": clock.dt,
                       "limit": clock.limit,
@@ -392,4 +393,5 @@ class Simulation:
         age, memory = self.startup or (measure.process_age(), measure.peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
-                "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}
+                "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep,
+                "versions": self.folder.versions}
