@@ -64,6 +64,11 @@ def _of_user() -> str:
         home = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
         if os.access(home if home.exists() else home.parent, os.W_OK):
             return str(home / "f2s_hpc")
+    return _temporary()
+
+
+def _temporary() -> str:
+    """Return where caches lie in the temporary folder."""
     own = f"-{os.getuid()}" if hasattr(os, "getuid") else ""  # (Windows: each user's folder is his own)
     return os.path.join(tempfile.gettempdir(), f"f2s_hpc{own}")
 
@@ -71,12 +76,20 @@ def _of_user() -> str:
 def use() -> str:
     """Return the folder of compiled kernels, made if need be, and let numba, here and in child processes, use it.
 
-    Its time says when it was used last, to the day. Who makes a new one removes those of other versions beside it that
-    have not been used for ``UNUSED``.
+    One in the temporary folder where that one cannot be written: numba would else end the command, or take a place
+    that versions share. Its time says when it was used last, to the day. Who makes a new one removes those of other
+    versions beside it that have not been used for ``UNUSED``.
     """
-    folder = pathlib.Path(cache_directory())
+    wanted = pathlib.Path(cache_directory())
+    # (where neither can be written numba may find a place)
+    folder = next((f for f in (wanted, pathlib.Path(_temporary(), wanted.name)) if _made(f)), wanted)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    with contextlib.suppress(OSError):  # (numba looks for another place where this one cannot be written)
+    return str(folder)
+
+
+def _made(folder: pathlib.Path) -> bool:
+    """Make ``folder`` if need be, else note its use; tell whether it can be written."""
+    with contextlib.suppress(OSError):
         folder.parent.mkdir(parents=True, exist_ok=True)
         try:
             folder.mkdir()
@@ -85,7 +98,7 @@ def use() -> str:
                 os.utime(folder)
         else:
             remove_unused(folder)
-    return str(folder)
+    return os.access(folder, os.W_OK | os.X_OK)
 
 
 def remove_unused(new: pathlib.Path) -> None:

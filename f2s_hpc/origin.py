@@ -6,6 +6,7 @@ import functools
 import importlib.metadata
 import pathlib
 import platform
+import sys
 
 import f2s_hpc
 from f2s_hpc._cache import package_hash
@@ -65,8 +66,8 @@ def _libraries() -> dict[str, str]:
     for name in LIBRARIES:
         try:
             found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "unknown"
+        except importlib.metadata.PackageNotFoundError:  # (as the MPI build of h5py on Debian, which tells nobody)
+            found[name] = getattr(sys.modules.get(name), "__version__", "unknown")
     return found
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from time import perf_counter
 
 PHASES = {
-    "startup": "set up or read the state, up to the end of the first step",
+    "startup": "set up or read the state, up to the end of the first step or to a dwell that comes first",
     "particles": "look for arrivals, paint them, insert batches",
     "activity": "find the active blocks, and what sleeps",
     "forces": "forces of the cells on the nodes",

@@ -99,10 +99,15 @@ def test_any_edit_changes_the_hash_of_the_package(tmp_path, monkeypatch):
     assert len(found | {_cache.package_hash()}) == 6
 
 
-def test_a_cache_that_cannot_be_made_is_no_error(tmp_path):
-    """Fails if making the folder ends in a traceback."""
+def test_a_cache_that_cannot_be_written_gives_way_to_a_temporary_one(tmp_path):
+    """Fails if making the folder ends in a traceback, or if numba is left without a place: it then ends in one."""
     (tmp_path / "file").touch()
-    assert asked(F2S_CACHE_DIR=str(tmp_path / "file")) == str(tmp_path / "file" / OWN)
+    folder = asked(F2S_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path))
+    assert folder == str(tmp_path / f"f2s_hpc-{os.getuid()}" / OWN)
+    assert pathlib.Path(folder).is_dir()
+    child = ("import subprocess, sys; from f2s_hpc import _cache; _cache.use();"
+             f"subprocess.run([sys.executable, '-c', {ASK!r}])")
+    assert asked(child, F2S_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path)) == folder
 
 
 def test_a_kernel_is_compiled_only_where_it_is_itself(tmp_path):

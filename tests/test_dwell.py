@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -10,13 +11,18 @@ from conftest import f2s
 from solver_setup import ALL_SYMMETRY, cell_coordinates, make_block, make_model, make_setup
 from test_damaged import SCENE
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, phases
 from f2s_hpc.cli.main import main
-from f2s_hpc.cycles import simulation
+from f2s_hpc.cycles import pause, simulation
+from f2s_hpc.cycles.simulation import Simulation
+from f2s_hpc.errors import F2SError
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
-from f2s_hpc.solver.dwell import LARGEST_NUMBER, dwell, stage_count, stage_weights
+from f2s_hpc.report.deposit import checkpoints_by_cycle
+from f2s_hpc.solver import dwell as solver_dwell
+from f2s_hpc.solver.dwell import LARGEST_NUMBER, Course, dwell, most_stages, stage_count, stage_weights
 from f2s_hpc.solver.heat import conduct, diffusivity
+from f2s_hpc.solver.timestep import SAVE, STOP
 
 DX = 3e-6
 MODEL = make_model(DX)
@@ -66,8 +72,10 @@ def test_a_cosine_decays_at_its_rate(axis):
     profile = 100.0 * np.cos(math.pi * cell_coordinates(setup.state)[axis] / cells)
     setup.state.views["temperature"][...] = 500.0 + profile
     duration = 1.0 / ((math.pi / cells) ** 2 * RATE)
-    taken = dwell(setup.state, MODEL, duration, None, 300.0)
-    assert taken < 0.25 * duration * RATE / LARGEST_NUMBER
+    course = Course(duration)
+    assert dwell(setup.state, MODEL, course, None, 300.0) == 0
+    assert course.stages < 0.25 * duration * RATE / LARGEST_NUMBER
+    assert course.stages == most_stages(duration, RATE)
     expected = 500.0 + profile * math.exp(-2.0 * (1.0 - math.cos(math.pi / cells)) * duration * RATE)
     found = setup.state.views["temperature"]
     np.testing.assert_allclose((found - expected)[setup.state.part.owned_cells], 0.0, atol=0.1)
@@ -87,7 +95,7 @@ def test_it_ends_where_many_explicit_steps_do(rng):
         state.exchange(("temperature",))
         before = heat(state)
         if long:
-            dwell(state, MODEL, 30.0 / RATE, None, 300.0)
+            dwell(state, MODEL, Course(30.0 / RATE), None, 300.0)
         else:
             for _ in range(300):
                 conduct(state, MODEL, 0.1 / RATE)
@@ -103,10 +111,34 @@ def test_it_ends_early_where_nothing_changes_any_more():
     setup = make_block((12, 4, 4), MODEL)
     x, _, _ = cell_coordinates(setup.state)
     setup.state.views["temperature"][...] = 500.0 + 100.0 * np.cos(math.pi * x / 12)
-    taken = dwell(setup.state, MODEL, 1.0, None, 300.0)
-    assert taken < 1e-3 * RATE
+    course = Course(1.0)
+    assert dwell(setup.state, MODEL, course, None, 300.0) == 0
+    assert course.stages < 1e-3 * RATE
     assert np.ptp(setup.state.owned("temperature")) < 1e-3
     assert setup.state.owned("temperature").mean() == pytest.approx(500.0, abs=1e-9)
+
+
+def test_round_off_does_not_keep_it_from_its_end(monkeypatch):
+    """Hours on fine cells. Fails without ``ROUND_OFF``: 999 stages never leave every cell within 3e-11 K."""
+    calls = 0
+
+    def super_step(_work, number: float) -> tuple[int, float]:
+        nonlocal calls
+        calls += 1
+        assert calls < 100
+        return stage_count(number), 5e-9
+
+    monkeypatch.setattr(solver_dwell._Work, "super_step", super_step)
+    course = Course(1e4)
+    assert dwell(make_block((4, 4, 4), MODEL).state, MODEL, course, None, 300.0) == 0
+    # (only when steps do not grow any more: a short one that changes little tells nothing)
+    assert course.stages > solver_dwell.MOST_STAGES * 5
+
+
+def test_the_most_stages_are_told_at_once_also_of_hours():
+    """Fails if each super step of 1e4 s is counted by itself: there are 1e9 of them."""
+    year = most_stages(1e4, 1e12)
+    assert year == pytest.approx(1e16 / solver_dwell.LONGEST_NUMBER * solver_dwell.MOST_STAGES, rel=1e-4)
 
 
 @pytest.mark.parametrize("backing", [0.0, 30e-6])
@@ -133,13 +165,26 @@ def test_heat_leaves_through_the_bottom_as_through_a_wall(backing):
     q = eigenvalue()
     duration = 0.8 * length**2 / (q * q * diffusivity(MODEL))
     before = heat(state)
-    dwell(state, MODEL, duration, backing, 300.0)
+    dwell(state, MODEL, Course(duration), backing, 300.0)
     # series of a wall, of which the first term is left (Carslaw and Jaeger 1959, section 3.11)
     first = 4.0 * math.sin(q) / (2.0 * q + math.sin(2.0 * q))
     z = cell_coordinates(state)[2] * DX / length
     expected = 300.0 + 500.0 * first * np.cos(q * (1.0 - z)) * math.exp(-0.8)
     np.testing.assert_allclose((state.views["temperature"] - expected)[state.part.owned_cells], 0.0, atol=2.0)
     assert heat(state) < 0.8 * before
+
+
+def test_void_above_the_bottom_stays_void():
+    """A sphere on the bottom, which is held hot. Fails if the temperature of empty cells there is set: they hold zero.
+    """
+    setup = make_setup((14, 14, 8), MODEL, [(7.0, 7.0, 3.0, 3.0)], sides=ALL_SYMMETRY)
+    state = setup.state
+    dwell(state, MODEL, Course(30.0 / RATE), 0.0, 900.0)
+    void = state.owned("mass") == 0.0
+    assert void[0].any()
+    assert not void[0].all()
+    assert (state.owned("temperature")[void] == 0.0).all()
+    assert state.owned("temperature")[0].max() > 600.0
 
 
 def test_thermal_pressure_follows():
@@ -155,7 +200,7 @@ def test_thermal_pressure_follows():
     state.settle()
     start = state.owned("temperature")[-1, 0, 0]
     state.set_floor(6)
-    dwell(state, model, 40.0 * DX**2 / diffusivity(model), None, 300.0)
+    dwell(state, model, Course(40.0 * DX**2 / diffusivity(model)), None, 300.0)
     np.testing.assert_allclose(state.owned("internal_energy"), specific_heat * (state.owned("temperature") - start),
                                atol=1e-6)
     assert state.owned("temperature")[0].max() < start + 60.0
@@ -176,7 +221,8 @@ def whole(tmp_path_factory):
 def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared_path, monkeypatch, capsys):
     """Twice in three cycles; stopped at the end of a cycle and within the next, it ends in the same bits.
 
-    Fails if a resumed run dwells anew in the middle of a cycle, not at all, or the first batch is waited for.
+    Fails if a resumed run dwells anew in the middle of a cycle, not at all, or the first batch is waited for; and if
+    nobody says why a run stopped that did so at the end of a cycle.
     """
     folder, advance = shared_path / "run", simulation.advance
     scene = whole.parent / "scene.toml"
@@ -189,6 +235,7 @@ def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared
 
     monkeypatch.setattr(simulation, "advance", stopped)
     assert main(["run", str(scene), "--out", str(folder)]) == 75
+    assert ("stopped: the wall-time budget is spent" in capsys.readouterr().out) == mpi.is_root()
     at = next(stops)
     assert main(["resume", str(folder)]) == 75
     monkeypatch.setattr(simulation, "advance", advance)
@@ -200,7 +247,7 @@ def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared
     assert all(np.array_equal(values, others[name]) for name, values in fields.items())
     if not mpi.is_root():
         return
-    assert said.count("dwell of 20 us: the deposit's median temperature falls from") == 1
+    assert said.count("dwell of 20 us: the deposit's median temperature goes from") == 1
     rows = [runs.read_cycle_table(place) for place in (whole, folder)]
     assert [float(row["dwell_s"]) for row in rows[0]] == pytest.approx([0.0, 20e-6, 40e-6])
     for one, other in zip(*rows):
@@ -208,6 +255,56 @@ def test_a_run_dwells_between_its_cycles_and_a_resumed_one_as_well(whole, shared
     left = [float(row["dwell_heat_left_J"]) for row in rows[0]]
     assert 0.0 == left[0] < left[1] < left[2]
     assert float(rows[0][1]["temperature_p50_after_dwell_degC"]) < float(rows[0][0]["temperature_p50_degC"]) - 20.0
+
+
+@pytest.mark.mpi
+def test_a_run_stops_within_a_dwell_and_goes_on_with_it(whole, shared_path, monkeypatch, capsys):
+    """Saved once on the way, then stopped, by another rank than the first if there is one: it ends in the same bits.
+
+    Fails if nobody is asked during a dwell, if a resumed one begins anew, or if a checkpoint within it passes for the
+    end of the cycle.
+    """
+    folder, request, calls = shared_path / "run", Simulation._request, 0
+
+    def asked(self) -> int:
+        nonlocal calls
+        if self.pause.course is None or mpi.rank() < mpi.size() - 1:
+            return request(self)
+        calls += 1
+        return {2: SAVE, 5: STOP}.get(calls, 0)
+
+    monkeypatch.setattr(Simulation, "_request", asked)
+    assert main(["run", str(whole.parent / "scene.toml"), "--out", str(folder)]) == 75
+    said = capsys.readouterr().out
+    monkeypatch.setattr(Simulation, "_request", request)
+    places = list_checkpoints(folder / layout.CHECKPOINTS)
+    pauses = [runs.open_checkpoint_serial(path, [])[1]["pause"] for path in places]
+    assert [(pause["count"], pause["course"] is None) for pause in pauses] == [(0, True), (0, False), (0, False)]
+    assert 20e-6 > pauses[1]["course"]["left"] > pauses[2]["course"]["left"] > 0.0
+    assert checkpoints_by_cycle(folder) == {1: places[0]}
+    assert main(["resume", str(folder)]) == 0
+    ends = [list_checkpoints(place / layout.CHECKPOINTS)[-1] for place in (whole, folder)]
+    (fields, _), (others, _) = (runs.open_checkpoint_serial(path) for path in ends)
+    assert all(np.array_equal(values, others[name]) for name, values in fields.items())
+    if mpi.is_root():
+        assert said.count(f"checkpoint {folder}") == 2
+        assert f"stopped: the wall-time budget is spent; checkpoint {places[2]}" in said
+        rows = [runs.read_cycle_table(place) for place in (whole, folder)]
+        assert [row["dwell_heat_left_J"] for row in rows[0]] == [row["dwell_heat_left_J"] for row in rows[1]]
+
+
+def test_a_dwell_is_no_startup(whole, tmp_path, monkeypatch):
+    """Fails if a resumed run that begins with a dwell counts it as startup."""
+    shutil.copytree(whole, tmp_path / "run")
+    for path in list_checkpoints(tmp_path / "run" / layout.CHECKPOINTS)[1:]:
+        path.unlink()
+    told = []
+    monkeypatch.setattr(phases, "started", lambda follow: told.append("started"))
+    monkeypatch.setattr(pause, "dwell", lambda *_: told.append("dwell") or 1)
+    monkeypatch.setattr(Simulation, "_request", lambda self: 0)
+    monkeypatch.setattr(Simulation, "_save", lambda self, stops: (_ for _ in ()).throw(F2SError("far enough")))
+    assert main(["resume", str(tmp_path / "run")]) != 0
+    assert told == ["started", "dwell"]
 
 
 @pytest.mark.mpi
@@ -225,6 +322,7 @@ def test_the_bits_of_a_run_with_dwells_do_not_hang_on_its_ranks(whole, tmp_path_
 
 @pytest.mark.parametrize(("settings", "says"), [
     (["cycles.dwell=20 us", "numerics.conduction=false"], "has no effect with numerics.conduction = false"),
+    (["cycles.dwell=20 us", "material.conductivity=0 W/m/K"], "has no effect with material.conductivity = 0"),
     (["substrate.backing=3 mm"], "has no effect without cycles.dwell"),
     (["cycles.dwell=20 us", "substrate.backing=3 mm", "domain.faces.z_low=symmetry"], 'a side that is "symmetry"'),
     (["cycles.dwell=20 h"], "is its unit right?"),

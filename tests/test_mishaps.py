@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 
+import h5py
 import numpy as np
 import pytest
 from conftest import F2S, ROOT
@@ -385,7 +386,7 @@ def test_small_mistakes_are_one_line(capsys, monkeypatch, tmp_path, arguments, s
 
 
 def test_files_tell_commit_and_libraries(finished, capsys):  # noqa: F811
-    """Fails when ``provenance`` leaves ``versions`` out."""
+    """Fails when ``provenance`` leaves ``versions`` out, or checkpoint or summary do."""
     with pytest.raises(SystemExit) as end:
         main(["--version"])
     assert end.value.code == 0
@@ -396,6 +397,11 @@ def test_files_tell_commit_and_libraries(finished, capsys):  # noqa: F811
     assert told["commit"] == commit()
     assert told["sources"] == package_hash()
     assert told["libraries"]["numpy"] == np.__version__
+    # (Debian's h5py with MPI is not known to the list of installed packages)
+    assert told["libraries"]["h5py"] == h5py.__version__
+    newest = list_checkpoints(finished / layout.CHECKPOINTS)[-1]
+    for other in (runs.open_checkpoint_serial(newest, [])[1]["versions"], runs.read_summary(finished)["versions"]):
+        assert other == {key: told[key] for key in ("version", "commit", "sources", "libraries")}
 
 
 @pytest.mark.skipif(shutil.which("flock") is None, reason="flock is not installed")

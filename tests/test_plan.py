@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from f2s_hpc.bench import crowd
 from f2s_hpc.bench import rates as measured
+from f2s_hpc.cli import plan
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene
 from f2s_hpc.errors import InputError
@@ -17,6 +19,7 @@ from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import ownership_ranges
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.plan import BatchPlan, make_batches
+from f2s_hpc.solver.dwell import most_stages
 from f2s_hpc.workload import marks
 from f2s_hpc.workload.expected import ON_GRID, moments, part_cells
 from f2s_hpc.workload.predict import FLYING, SOLID, Network, Rates, busy_seconds, message_seconds, predict, table
@@ -298,3 +301,15 @@ def test_wrong_arguments_are_one_line_and_code_2(capsys, monkeypatch, tmp_path, 
     assert main(["plan", "splat", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
+
+
+def test_what_dwells_take_is_told_beside_the_times():
+    """Fails if the last cycle counts too, no cycle has one after it, or a scene without dwells gets the line."""
+    scene = load_scene("section4", [*COARSE, "cycles.dwell=10 ms"])
+    found = [SimpleNamespace(ranks=1, step_s=1.0), SimpleNamespace(ranks=4, step_s=0.04)]
+    (line,) = plan._dwells(scene, found)
+    stages = most_stages(10e-3, 385 / (8960 * 384.6) / 12e-6**2)
+    assert f"9 dwells of 10 ms come on top of these times, each of at most {stages:,} stages" in line
+    assert f"{9 * stages * 0.02 / 60:.1f} min on 1 rank, {9 * stages * 0.02 * 0.04:.1f} s on 4 ranks" in line
+    assert plan._dwells(load_scene("section4", COARSE), found) == []
+    assert plan._dwells(load_scene("section4", [*COARSE, "cycles.dwell=10 ms", "cycles.count=1"]), found) == []

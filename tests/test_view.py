@@ -12,6 +12,7 @@ from f2s_hpc import mpi
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import dump_scene, parse_scene
 from f2s_hpc.cycles import simulation
+from f2s_hpc.errors import UnstableStep
 from f2s_hpc.io import layout, runs, vtkhdf
 from f2s_hpc.io.runs import read_frame_meta
 
@@ -110,6 +111,47 @@ def test_a_stopped_run_goes_on_with_its_view(tmp_path, monkeypatch, capsys):
     # those of before, and one for each 8 ns from then on
     assert len(times) == 2 + int(total / 8e-9 + 1e-9) - 1
     assert vtkhdf.update_index(folder / layout.VIEW) == []
+
+
+def test_a_view_that_is_moved_on_the_way_is_told_once(tmp_path, monkeypatch, capsys):
+    """Fails if each picture of before gets a line of its own, or all of them one again after each cycle."""
+    scene, folder, advance = tmp_path / "scene.toml", tmp_path / "run", simulation.advance
+    scene.write_text(VIEWED, encoding="utf-8")
+
+    def stopped(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        clock.stop = clock.time > 11e-9
+
+    monkeypatch.setattr(simulation, "advance", stopped)
+    assert main(["run", str(scene), "--out", str(folder)]) == 75
+    monkeypatch.setattr(simulation, "advance", advance)
+    capsys.readouterr()
+    assert main(["resume", str(folder), "--set", "output.view.y=21 um"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "left out" in line]
+    names = f"{layout.frame_name(0)} to {layout.frame_name(1)}"
+    assert told == [(f"note: {folder / layout.VIEW}: 2 frames on another grid than the newest, left out of the index: "
+                     f"{names}")]
+    assert len(pictures(folder)) > 4
+
+
+@pytest.mark.mpi
+def test_a_view_shows_what_led_to_a_failure(shared_path, monkeypatch):
+    """Fails if the index is renewed at the end of cycles and at stops only: nobody sees the film of what went wrong."""
+    scene, folder, advance = shared_path / "scene.toml", shared_path / "run", simulation.advance
+    if mpi.is_root():
+        scene.write_text(VIEWED, encoding="utf-8")
+    mpi.barrier()
+
+    def fails(state, model, clock, *more):
+        if clock.time > 11e-9:
+            raise UnstableStep("the time step collapsed")
+        advance(state, model, clock, *more)
+
+    monkeypatch.setattr(simulation, "advance", fails)
+    assert main(["run", str(scene), "--out", str(folder)]) == UnstableStep.exit_code
+    if mpi.is_root():
+        with h5py.File(folder / "view.vtkhdf") as index:
+            assert len(index[f"{layout.VTK_ROOT}/Steps/Values"]) == len(pictures(folder)) == 2
 
 
 def test_a_view_is_written_back_with_its_scene():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from f2s_hpc import mpi, places, units
@@ -15,6 +16,7 @@ from f2s_hpc.errors import InputError
 from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.particles.plan import make_batches
+from f2s_hpc.solver.dwell import STAGE_SHARE, most_stages
 from f2s_hpc.workload import predict
 
 MOST_RANKS = 4096
@@ -71,6 +73,19 @@ def _check_time(parsed: argparse.Namespace) -> float | None:
     return duration
 
 
+def _dwells(scene: Scene, found: Sequence[predict.Prediction]) -> list[str]:
+    """Return a line on what the dwells of a scene take, which the predictions leave out; nothing without any."""
+    count, material = scene.cycles.count - 1, scene.material
+    if scene.cycles.dwell is None or not count:
+        return []
+    stages = most_stages(scene.cycles.dwell, material.conductivity / (
+        material.density * material.specific_heat * scene.domain.cell_size**2))
+    times = ", ".join(f"{predict.duration_text(count * stages * STAGE_SHARE * p.step_s)} on "
+                      f"{units.count_text(p.ranks, 'rank')}" for p in found)
+    return [(f"{units.count_text(count, 'dwell')} of {units.pretty(scene.cycles.dwell, 'time')} come on top of these "
+             f"times, each of at most {stages:,} stages of conduction: in all some {times}, or less")]
+
+
 def _time(option: str, text: str) -> float:
     try:
         return units.parse(text, "time")
@@ -105,6 +120,8 @@ def run(parsed: argparse.Namespace) -> int:
           "reduction per step")
     found = predict.predict(scene, plan, ranks, rates, network)
     print(predict.table(found))
+    for note in _dwells(scene, found):
+        print(f"note: {note}")
     rows = trial.compare(scene, plan, rates, network, CHECKED_RANKS, duration) if parsed.check else []
     if rows:
         print(trial.comparison(rows))

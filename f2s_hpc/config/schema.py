@@ -150,6 +150,8 @@ def _check_dwell(scene: Scene) -> None:
     dwell, backing = scene.cycles.dwell, scene.substrate.backing
     if dwell is not None and not scene.numerics.conduction:
         raise wrong("cycles.dwell", "has no effect with numerics.conduction = false; leave one of them out")
+    if dwell is not None and scene.material.conductivity == 0.0:
+        raise wrong("cycles.dwell", "has no effect with material.conductivity = 0; leave one of them out")
     if dwell is not None and scene.scheme == "standard":
         raise wrong("cycles.dwell", "has no effect in the standard scheme, which has one cycle; leave it out")
     if backing is not None and dwell is None:

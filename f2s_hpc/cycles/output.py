@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import functools
 import io
 import json
 import math
@@ -47,6 +48,11 @@ def batch_name(number: int) -> str:
     return f"batch-{number:03d}.csv"
 
 
+def ends_cycle(attributes: dict) -> bool:
+    """Tell whether a checkpoint with these ``attributes`` stands at the end of a cycle, not within one or a dwell."""
+    return not (attributes.get("batch_is_in", True) or attributes.get("pause", {}).get("course"))
+
+
 def _block(state: State, name: str, data: np.ndarray, on_nodes: bool) -> Block:
     box = state.part.box
     return Block(name, data, state.part.start[::-1], box.node_shape if on_nodes else box.shape)
@@ -59,11 +65,15 @@ class RunFolder:
         self.path = pathlib.Path(path)
         self.scene = scene
 
+    @functools.cached_property
+    def versions(self) -> dict:
+        """Which code is at work, and on which libraries."""
+        return {"version": f2s_hpc.__version__, **mpi.run_together(versions)}
+
     def provenance(self) -> dict:
         """Return what every file should say about its origin; rank 0 alone looks it up, all know it."""
-        return {"code": "f2s_hpc", "version": f2s_hpc.__version__, **mpi.run_together(versions),
-                "scene_hash": scene_hash(self.scene), "scene": dump_scene(self.scene), "host": platform.node(),
-                "ranks": mpi.size()}
+        return {"code": "f2s_hpc", **self.versions, "scene_hash": scene_hash(self.scene),
+                "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
 
     def write_other_cycles(self, plan: BatchPlan | None) -> None:
         """Write the scene anew for a run whose number of cycles changes, and its batches where it has a new ``plan``.
@@ -174,7 +184,7 @@ class RunFolder:
         blocks = [_block(state, name, state.owned(name), BY_NAME[name].location != CELL) for name in state.saved]
         folder = self.path / layout.CHECKPOINTS
         every = self.scene.output.archive_every
-        archived = bool(every) and cycle % every == 0 and not attributes["batch_is_in"]
+        archived = bool(every) and cycle % every == 0 and ends_cycle(attributes)
         path = checkpoint.write_checkpoint(folder, cycle, [*blocks, *more], attributes, archived)
         checkpoint.prune(folder, self.scene.output.keep_checkpoints, self.scene.output.archive_every)
         return path

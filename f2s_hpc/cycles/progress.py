@@ -7,6 +7,8 @@ import sys
 import time
 from collections.abc import Callable
 
+from f2s_hpc.units import pretty
+
 ETA_SHARE = 0.02
 """Share of a session's work after which the rest can be foretold; the first steps say little about it."""
 
@@ -76,14 +78,31 @@ class Progress:
         now = time.monotonic()
         if self.start is None:
             self.start, self.done_time = now, clock.time
-        if now - self.last < (0.5 if self.on_terminal else self.interval):
+        if not self._due(now):
             return
-        self.last = now
         share = clock.time / self.total_time
         fastest = max(clock.limits.heavy_speed, in_flight())
         text = (f"cycle {cycle + 1}/{cycles}  {1e9 * clock.in_cycle:7.1f} of {1e9 * duration:.0f} ns"
                 f"  step {clock.steps}  dt {1e12 * clock.dt:.0f} ps ({clock.limit})"
                 f"  fastest {fastest:.0f} m/s  {100.0 * share:5.1f} %{self._eta(now, clock.time)}")
+        self._renew(text, share)
+
+    def dwell(self, left: float, duration: float, cycle: int, cycles: int) -> None:
+        """Report the dwell after ``cycle`` of ``cycles`` when it is time to; ``left`` of its ``duration`` (s)."""
+        if self.speaks and self._due(time.monotonic()):
+            share = 1.0 - left / duration
+            self._renew(f"dwell after cycle {cycle}/{cycles}  {100.0 * share:5.1f} % of {pretty(duration, 'time')}",
+                        share)
+
+    def _due(self, now: float) -> bool:
+        """Tell whether it is time for another line, and if so take it for said."""
+        if now - self.last < (0.5 if self.on_terminal else self.interval):
+            return False
+        self.last = now
+        return True
+
+    def _renew(self, text: str, share: float) -> None:
+        """Print a line of progress: on a terminal in the place of the one before, with a bar of the ``share`` done."""
         if self.on_terminal:
             bar = ("#" * int(20 * share)).ljust(20, ".")
             self._write(f"\r[{bar}] {text}\033[K")

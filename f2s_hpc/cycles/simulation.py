@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import pathlib
@@ -70,6 +71,7 @@ class Simulation:
         self.frame = 0
         self.intervals = 0  # frame intervals that have gone by
         self.view_frame, self.view_intervals = 0, 0  # the same of the view
+        self.noted: set[str] = set()
         self.substrate_quanta = 0
         self.active_at_start_of_cycle = 0
         self.spent = Spent()
@@ -77,7 +79,7 @@ class Simulation:
         self.status = RUNNING
         self.picture: pathlib.Path | None = None  # made at the end
         self.saved_at = 0.0  # wall time of this session (s) at the newest checkpoint
-        self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the first step
+        self.startup: tuple[float, int] | None = None  # age of the process (s) and its peak memory after the start
 
     # --- start and resume ---------------------------------------------------------------------------
 
@@ -140,7 +142,8 @@ class Simulation:
         """Return all that a resumed run needs besides the fields; the same on any rank count."""
         clock, rates = self.clock, self.clock.limits.over_ranks()
         return {
-            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "step": clock.steps,
+            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "versions": self.folder.versions,
+            "step": clock.steps,
             "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
                       "remaps": clock.remaps, "between_remaps": clock.between_remaps, "dt": clock.dt,
                       "limit": clock.limit,
@@ -186,6 +189,8 @@ class Simulation:
         except F2SError:
             self.status = FAILED
             self.folder.write_tables(self.rows, self.summary())
+            with contextlib.suppress(F2SError):  # (what went wrong first is to be told)
+                self._index_view()
             raise
         summary = self.summary()
         self.folder.write_tables(self.rows, summary)
@@ -196,8 +201,8 @@ class Simulation:
         """Run one cycle to its end; False when a stop was asked for and a checkpoint was written."""
         duration = self.scene.cycles.durations[self.cycle]
         if not self.batch_is_in:
-            if self.cycle and self.scene.cycles.dwell is not None:
-                self.progress.say(self.pause.take(flight_speed(self.plan.batches, self.scene.top_speed), self.rows[-1]))
+            if self.cycle and self.scene.cycles.dwell is not None and not self._dwell():
+                return False
             self.insert()
         clock = self.clock
         follow = None if self.tracers is None else self._follow
@@ -207,9 +212,7 @@ class Simulation:
             if landed is not None and self.tracers is not None:
                 self.tracers.seed(landed, clock.time)
             advance(self.state, self.model, clock, self.ledger, duration, None, follow)
-            if self.startup is None:
-                self.startup = process_age(), peak_memory()
-                phases.started(self.stages)
+            self._end_startup()
             if clock.remaps % REMAPS_PER_RELEASE == 0:
                 self.state.release_empty()
             self.progress.step(clock, self.cycle, self.scene.cycles.count, duration, self._fastest_in_flight)
@@ -223,14 +226,42 @@ class Simulation:
                 self.folder.write_view(self.state, self.model, self.view_frame, clock.time)
                 self.view_frame += 1
             if (clock.stop or clock.save) and goes_on:
-                refuse_what_is_not_finite(self.state)
-                path = self._checkpoint()
-                self.progress.say((f"stopped: {self.stop.reason()}; " if clock.stop else "") + f"checkpoint {path}")
+                self._save(clock.stop)
                 if clock.stop:
                     self._index_view()
                     return False
         self._finish_cycle(duration)
-        return not clock.stop or self.cycle == self.scene.cycles.count
+        if not clock.stop or self.cycle == self.scene.cycles.count:
+            return True
+        self.progress.say(f"stopped: {self.stop.reason()}")
+        return False
+
+    def _dwell(self) -> bool:
+        """Let the deposit dwell before the next batch; False when a stop was asked for and a checkpoint was written."""
+        self._end_startup()
+
+        def asks(left: float) -> int:
+            self.progress.dwell(left, self.scene.cycles.dwell, self.cycle, self.scene.cycles.count)
+            return self._request()
+
+        while asked := self.pause.take(asks):
+            self._save(asked >= STOP)
+            if asked >= STOP:
+                return False
+        self.progress.say(self.pause.told(flight_speed(self.plan.batches, self.scene.top_speed), self.rows[-1]))
+        return True
+
+    def _end_startup(self) -> None:
+        """Note what the start took: up to the end of the first step, or to a dwell with which a resumed run begins."""
+        if self.startup is None:
+            self.startup = process_age(), peak_memory()
+            phases.started(self.stages)
+
+    def _save(self, stops: bool) -> None:
+        """Write a checkpoint within a cycle or a dwell, and say so."""
+        refuse_what_is_not_finite(self.state)
+        path = self._checkpoint()
+        self.progress.say((f"stopped: {self.stop.reason()}; " if stops else "") + f"checkpoint {path}")
 
     def _request(self) -> int:
         """Return what this rank asks for: the end of the run, or on rank 0 a checkpoint now and then in long cycles."""
@@ -314,17 +345,21 @@ class Simulation:
 
     @phase("output")
     def _frame(self, ends_cycle: bool) -> None:
-        for note in self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle,
-                                            ends_cycle):
-            self.progress.say(f"note: {note}")
+        self._note(self.folder.write_frame(self.state, self.model, self.frame, self.clock.time, self.cycle, ends_cycle))
         self.frame += 1
 
     @phase("output")
     def _index_view(self) -> None:
         """Renew the index of the view's series: not with each picture, which would take longer each time."""
         if self.view_frame:
-            for note in self.folder.update_view(self.view_frame - 1):
+            self._note(self.folder.update_view(self.view_frame - 1))
+
+    def _note(self, notes: list[str]) -> None:
+        """Say what has not been said before: an index lacks the same frames each time."""
+        for note in notes:
+            if note not in self.noted:
                 self.progress.say(f"note: {note}")
+        self.noted.update(notes)
 
     # --- numbers ------------------------------------------------------------------------------------
 
@@ -359,4 +394,5 @@ class Simulation:
         age, memory = self.startup or (process_age(), peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
-                "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep}
+                "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep,
+                "versions": self.folder.versions}

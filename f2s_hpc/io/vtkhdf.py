@@ -21,6 +21,7 @@ from f2s_hpc.fields import BY_NAME, NODE, UNITS
 from f2s_hpc.io import layout, xdmf
 from f2s_hpc.io.layout import CELL_DATA, POINT_DATA, PROVENANCE, VTK_ROOT, Block, attempt_on_root
 from f2s_hpc.io.runs import FrameMeta, list_frames, read_frame_meta
+from f2s_hpc.units import count_text
 
 
 def _located(blocks: Sequence[Block]) -> tuple[tuple[int, int, int], list[str]]:
@@ -101,9 +102,10 @@ def write_frame(folder: str | os.PathLike, number: int, time: float, blocks: Seq
 def update_index(folder: str | os.PathLike) -> list[str]:
     """Rebuild the index and the XDMF sidecar beside the frames' ``folder``, from the frames that exist.
 
-    Returns one line per frame that could not be included: unreadable, on another grid than the newest
-    frame, or not later than the one before. The index holds the fields that all its frames have. Called
-    by all ranks, done by rank 0. Raises ``F2SError`` on all ranks when the files cannot be written.
+    Returns what could not be included: a line on all frames that are on another grid than the newest (a view that a
+    resumed run has moved), and one on each that is unreadable or not later than the one before. The index holds the
+    fields that all its frames have. Called by all ranks, done by rank 0. Raises ``F2SError`` on all ranks when the
+    files cannot be written.
     """
     folder = pathlib.Path(folder).absolute()
     return attempt_on_root(lambda: _update_index(folder),
@@ -127,9 +129,10 @@ def _update_index(folder: pathlib.Path) -> list[str]:
 
 
 def _usable_frames(folder: pathlib.Path) -> tuple[list[FrameMeta], list[str]]:
-    """Return the frames that belong in the index, in order of time, and a line on each other one."""
+    """Return the frames that belong in the index, in order of time, and what to say of the others."""
     found: list[FrameMeta] = []
     notes: list[str] = []
+    elsewhere: list[int] = []
     for number in reversed(list_frames(folder.parent, folder.name)):
         path = folder / layout.frame_name(number)
         try:
@@ -139,11 +142,15 @@ def _usable_frames(folder: pathlib.Path) -> tuple[list[FrameMeta], list[str]]:
             continue
         newest = found[0] if found else meta
         if (meta.cells, meta.origin, meta.spacing) != (newest.cells, newest.origin, newest.spacing):
-            notes.append(f"{path}: on another grid than {layout.frame_name(newest.number)}, left out of the index")
+            elsewhere.append(number)
         elif found and meta.time_s >= found[-1].time_s:
             notes.append(f"{path}: not earlier than {layout.frame_name(found[-1].number)}, left out of the index")
         else:
             found.append(meta)
+    if elsewhere:
+        span = " to ".join(layout.frame_name(n) for n in dict.fromkeys((elsewhere[-1], elsewhere[0])))
+        notes.append(f"{folder}: {count_text(len(elsewhere), 'frame')} on another grid than the newest, left out of "
+                     f"the index: {span}")
     return found[::-1], notes[::-1]
 
 

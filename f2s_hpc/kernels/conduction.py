@@ -53,15 +53,13 @@ def add_heat(runs, count, window, shape, gained, specific_heat, temperature, ene
                 energy[cell + i] += specific_heat * gained[out + i]
 
 
-
-
 @kernel
-def heat_through_bottom(runs, count, window, shape, number, gained_share, held_at, temperature, gained):
+def heat_through_bottom(runs, count, window, shape, number, gained_share, held_at, mass, temperature, gained):
     """Add to ``gained`` (K) what the lowest plane of cells of the box, ``window[0]``, gains through its lower faces.
 
     ``gained_share``: conductance of what lies between the cells' centres and what is held at ``held_at`` (K), over
     that of the way from one cell to the next. A cell touches the bottom with a share of its face like its mass's, so
-    that mass cancels.
+    that mass cancels; void gains nothing.
     """
     ny, nx = shape
     for r in range(count):
@@ -70,7 +68,8 @@ def heat_through_bottom(runs, count, window, shape, number, gained_share, held_a
             continue
         cell, out = (k * ny + j) * nx, (k * (ny + 1) + j) * (nx + 1)
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
-            gained[out + i] += number * gained_share * (held_at - temperature[cell + i])
+            if mass[cell + i] > 0.0:
+                gained[out + i] += number * gained_share * (held_at - temperature[cell + i])
 
 
 @kernel

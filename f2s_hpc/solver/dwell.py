@@ -10,6 +10,8 @@ cell sees its neighbours only.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,9 +31,38 @@ GROWTH = 1.3
 """Each super step is longer than the one before by this: fine differences have gone by then."""
 
 MOST_STAGES = 999
+LONGEST_NUMBER = 0.25 * (MOST_STAGES**2 + MOST_STAGES - 2) * LARGEST_NUMBER
+"""k tau / (rho c_p dx^2) of the longest super step."""
 
 NOTHING_CHANGES = 1e-3
 """A dwell ends when at the present rate no cell would change by more than this (K) until its end."""
+
+ROUND_OFF = 1e-8
+"""It also ends when the longest super step changes no cell by more than this (K): of 999 stages round-off alone leaves
+some 1e-9, so that a dwell of an hour on fine cells would else never come to its end."""
+
+STAGE_SHARE = 0.02
+"""Time of a stage over that of a step on the same cells, measured."""
+
+
+@dataclass
+class Course:
+    """How far a dwell has come: ``left`` (s), ``number`` = k tau / (rho c_p dx^2) of its next super step, ``stages``
+    taken so far."""
+
+    left: float
+    number: float = 2.0 * LARGEST_NUMBER
+    stages: int = 0
+
+
+def most_stages(duration: float, per_second: float) -> int:
+    """Return how many stages a dwell of ``duration`` (s) takes if it does not end early; ``per_second``: k / (rho c_p
+    dx^2)."""
+    left, course = duration * per_second, Course(duration)
+    while left > 0.0 and course.number < LONGEST_NUMBER:
+        course.stages += stage_count(min(course.number, left))
+        left, course.number = left - course.number, GROWTH * course.number
+    return course.stages + max(0, math.ceil(left / LONGEST_NUMBER)) * MOST_STAGES
 
 
 def stage_count(number: float) -> int:
@@ -53,29 +84,37 @@ def stage_weights(stages: int) -> list[tuple[float, float, float, float]]:
     return weights
 
 
+def _nothing(_left: float) -> int:
+    return 0
+
+
 @phase("conduction")
-def dwell(state: State, model: Model, duration: float, backing: float | None, held_at: float) -> int:
-    """Conduct heat for ``duration`` (s), nothing else; return the number of stages taken. Collective.
+def dwell(state: State, model: Model, course: Course, backing: float | None, held_at: float,
+          asks: Callable[[float], int] = _nothing) -> int:
+    """Conduct heat, and nothing else, until nothing is left of ``course``. Collective.
 
     ``backing``: thickness (m) of what lies below the box, whose far side is held at ``held_at`` (K) and which takes up
     no heat itself; None: nothing flows through the bottom. What sleeps takes part. All ghosts are valid before and
     after; the Mie-Grueneisen pressure follows by the internal energy.
+    ``asks``: called after each super step with the seconds that are left; returns what this rank asks for, 0 for
+    nothing. Returns the highest of what all ranks ask for: then ``course`` says how to go on, to the same bits; 0 at
+    the end.
     """
     state.update_activity()
     work = _Work(state, model, backing, held_at)
-    left, number, taken = duration, 2.0 * LARGEST_NUMBER, 0
-    per_second = diffusivity(model) / model.dx**2
-    most = 0.25 * (MOST_STAGES**2 + MOST_STAGES - 2) * LARGEST_NUMBER
-    while left > 0.0:
-        step = min(number / per_second, left)
-        stages, change = work.super_step(step * per_second)
-        taken, left = taken + stages, left - step
-        if change * left < NOTHING_CHANGES * step:
-            break
-        number = min(GROWTH * number, most)
+    per_second, asked = diffusivity(model) / model.dx**2, 0
+    while course.left > 0.0 and not asked:
+        step = min(course.number / per_second, course.left)
+        stages, own_change = work.super_step(step * per_second)
+        course.stages, course.left = course.stages + stages, course.left - step
+        change, asked = mpi.maximum(np.array([own_change, asks(course.left)]))
+        unchanged = change < ROUND_OFF and course.number == LONGEST_NUMBER
+        if unchanged or change * course.left < NOTHING_CHANGES * step:
+            course.left = 0.0
+        course.number = min(GROWTH * course.number, LONGEST_NUMBER)
     state.exchange(tuple(n for n in ("temperature", "internal_energy") if n in state.views), asleep=True)
     state.release_work()
-    return taken
+    return int(asked) if course.left > 0.0 else 0
 
 
 class _Work:
@@ -99,10 +138,10 @@ class _Work:
         mass, temperature = self.state.flat["mass"], self.state.flat["temperature"]
         conduction.heat_gained(*self._where, number, (-1, 0.0, 1.0), mass, temperature, gained)
         if self.share:
-            conduction.heat_through_bottom(*self._where, number, self.share, self.held_at, temperature, gained)
+            conduction.heat_through_bottom(*self._where, number, self.share, self.held_at, mass, temperature, gained)
 
     def super_step(self, number: float) -> tuple[int, float]:
-        """Take a super step of ``number`` = k tau / (rho c_p dx^2); return its stages and largest change (K)."""
+        """Take a super step of ``number`` = k tau / (rho c_p dx^2); return its stages and largest change here (K)."""
         state, gained = self.state, self.state.flat[VOLUME_FLUX]
         temperature = state.flat["temperature"]
         conduction.remember(self.runs, self.count, state.views["temperature"], self.start, self.before)
@@ -117,4 +156,4 @@ class _Work:
         state.exchange(("temperature",), layers=1, asleep=True)
         change = conduction.add_energy_of_change(*self._where, self.model.bulk.specific_heat, self.start, temperature,
                                                  state.energy)
-        return stages, float(mpi.maximum(np.float64(change)))
+        return stages, change

@@ -172,13 +172,14 @@ def table(predictions: Sequence[Prediction]) -> str:
     lines = [(f"{'ranks':>6} {'grid':>10} {'cells/rank':>11} {'ms/step':>9} {'messages':>9} {'total':>10} "
               f"{'MiB/rank':>9} {'KiB/step':>9} {'imbalance':>10} {'efficiency':>11}")]
     lines += [(f"{p.ranks:6d} {' x '.join(map(str, p.grid)).replace(' ', ''):>10} {p.cells_per_rank:11,} "
-               f"{1e3 * p.step_s:9.2f} {p.messages_s / p.step_s:9.1%} {_duration(p.total_s):>10} "
+               f"{1e3 * p.step_s:9.2f} {p.messages_s / p.step_s:9.1%} {duration_text(p.total_s):>10} "
                f"{p.memory / 2**20:9.0f} {p.message_bytes / 2**10:9.0f} {p.imbalance:10.2f} {p.efficiency:11.1%}")
               for p in predictions]
     return "\n".join(lines)
 
 
-def _duration(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
+    """Return a time (s) in the unit in which it reads well."""
     for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.1f} {unit}"
