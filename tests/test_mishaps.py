@@ -311,6 +311,20 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(cop
     assert not mpi.is_root() or f"{copy / place}: cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["run", "particles"])
+def test_a_place_without_room_for_a_folder_is_told_first(capsys, monkeypatch, tmp_path, command):
+    """Fails if ``check_new_folder`` or ``write_particles`` calls no ``check_folder``, or a run is set up before."""
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: access(path, mode) and pathlib.Path(path) != tmp_path)
+    monkeypatch.setattr("f2s_hpc.cli.tasks.Simulation", None)
+    assert main([command, "splat-quarter", "--out", str(tmp_path / "runs" / "x")]) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    assert said.err == (f"{tmp_path / 'runs' / 'x'}: cannot be written ({tmp_path}: Permission denied); name another "
+                        "folder with --out\n")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.mpi
 def test_a_frame_that_cannot_be_written_does_not_cost_the_checkpoint(shared_path, capsys, scene):
     """Fails when ``_finish_cycle`` leaves at the frame: nothing of the cycle is left."""

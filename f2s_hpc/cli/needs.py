@@ -11,8 +11,8 @@ def solver(command: str) -> None:
     """Raise ``InputError`` on all ranks where ``f2s COMMAND`` could not distribute a box. Collective."""
     failure = next(filter(None, mpi.all_gather(_failure())), "")
     if failure:
-        raise InputError(f"f2s {command}: {failure}; run scripts/setup (Debian), or see 'On a cluster' in README.md; "
-                         "f2s analyse, report, compare, inspect and export work without")
+        raise InputError(f"f2s {command}: {failure}; run scripts/setup (Debian), or see 'Other ways to install' in "
+                         "README.md; f2s analyse, report, compare, inspect and export work without")
 
 
 def _failure() -> str:

@@ -98,11 +98,12 @@ def _balance_line(balance: Balance) -> str:
 
 def run(scene: Scene, out: str) -> int:
     """Run a scene into the new folder ``out``; return the exit code."""
+    place = runs.check_new_folder(out)
     _announce_compiling()
     plan = mpi.run_together(make_batches, scene)
     decomposition_fits(scene)
     # a run that cannot be set up leaves no folder that would pass for one that holds a run
-    simulation = Simulation(scene, runs.check_new_folder(out), plan)
+    simulation = Simulation(scene, place, plan)
     folder = runs.prepare_run_folder(out)
     _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
          f"{1e6 * scene.domain.cell_size:g} um on {count_text(mpi.size(), 'rank')}, into {folder}")
@@ -273,6 +274,7 @@ def write_particles(scene: Scene, out: str) -> int:
             raise InputError(f"{folder}: is a file; name a new folder with --out")
         if folder.is_dir() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty; name a new folder with --out")
+        places.check_folder(folder, "--out")
         new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         try:

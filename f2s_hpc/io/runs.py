@@ -58,6 +58,7 @@ def check_new_folder(path: str | os.PathLike) -> pathlib.Path:
                          ", without a checkpoint to continue from; remove it, or")
                 raise InputError(f"{path}: holds a run already{go_on} start a new one in another folder with --out")
             raise InputError(f"{path}: is not empty; name a new or empty folder with --out")
+        places.check_folder(path, "--out")
 
     layout.attempt_on_root(look, f"{path}: cannot be looked at", InputError)
     return path
