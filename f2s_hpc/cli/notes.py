@@ -51,8 +51,9 @@ def _short_of_room(scene: Scene, plan: BatchPlan) -> list[str]:
         notes.append(
             f"domain.size: the batches before the last make {pretty(sum(before), 'length', 3)} of dense height, the "
             f"substrate has {pretty(domain.substrate_height, 'length', 3)}, and batches start from "
-            f"{pretty(domain.layer_bottom, 'length', 3)} on; a run ends when a particle finds no room below the top: "
-            f"make the box {pretty(grown + domain.particle_layer_height, 'length', 3)} high or more")
+            f"{pretty(domain.layer_bottom, 'length', 3)} on, so that some must start higher, and a run ends when one "
+            "finds no room below the top: make the box "
+            f"{pretty(grown + domain.particle_layer_height, 'length', 3)} high or more")
     late, enough = max(_late(scene, batch, domain.layer_bottom, cycles.duration) for batch in plan.batches)
     if before and late > LATE:
         notes.append(f"cycles.duration: {100 * late:.0f} % of a batch are in the particle layer still after "
