@@ -304,7 +304,7 @@ def test_the_papers_height_is_that_of_its_powder_and_material():
     cases = [([], 334e-6, 363e-6), ([], 290e-6, None), (["material.name=copper-johnson-cook"], 334e-6, None),
              (["particles.temperature=25 degC"], 334e-6, None)]
     for settings, dense, expected in cases:
-        like = types.SimpleNamespace(scene=load_scene("section4", settings), diameters=np.full(5000, 20e-6))
+        like = types.SimpleNamespace(scene=load_scene("section4", settings), diameters=np.full(5000, 20e-6), batches=[])
         assert paper_height(like, dense, notes) == expected, settings
     assert len(notes) == 1
     assert "334 µm of dense height; here it is 290 µm" in notes[0]
