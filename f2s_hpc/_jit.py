@@ -25,9 +25,10 @@ numba.config.CACHE_DIR = CACHE  # (it may have been imported before)
 llvmlite.binding.set_option("f2s_hpc", "-runtime-memory-check-threshold=64")
 
 
-def kernels_are_compiled() -> bool:
-    """Tell whether there are compiled kernels of this version at all."""
-    return any(pathlib.Path(CACHE).rglob("*.nbi"))
+def is_compiled(function) -> bool:
+    """Tell whether a kernel has been compiled before, from this copy of the package, or need not be at all."""
+    place = getattr(getattr(function, "_cache", None), "cache_path", None)
+    return place is None or any(pathlib.Path(place).glob(f"*.{function.__name__}-*.nbi"))
 
 
 def kernel(function):

@@ -57,11 +57,9 @@ def build_state(scene: Scene, ranges: Ranges | None = None) -> State:
     """Return the empty, distributed state of a scene (collective); ``ranges``: what each rank owns, even if None."""
     box = Box(scene.domain.cells, scene.domain.cell_size)
     sides = {side: getattr(scene.domain.faces, side) for side in SIDES}
-    n = scene.numerics
-    return State(Decomposition(box, ranges=ranges), sides,
-                 scene.mie_grueneisen, n.loss_heating, scene.output.origin, n.active_rows, n.steps_per_remap > 1)
+    return State(Decomposition(box, ranges=ranges), sides, scene.needed_fields, scene.numerics.active_rows)
 
 
 def build_ledger(model: Model) -> Ledger:
     """Return an empty ledger."""
-    return Ledger(model.energy_quantum, model.mass_quantum * model.cell_mass)
+    return Ledger(model.energy_quantum)

@@ -16,8 +16,9 @@ class Field:
     """One scalar array.
 
     ``mirror_sign`` holds, per axis (x, y, z), the sign that a component takes in the mirror image
-    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal). ``tag``: it tells
-    two kinds of material apart, 0 or 1 but for the cells that an interface cuts, and is kept as sharp as that.
+    behind a wall normal to that axis (-1 for the odd ones: normal velocity, shear with the normal). ``shown``: frames
+    have it where the scene does not say. ``tag``: it tells two kinds of material apart, 0 or 1 but for the cells that
+    an interface cuts, and is kept as sharp as that.
     """
 
     name: str
@@ -64,7 +65,7 @@ FIELDS: tuple[Field, ...] = (
     Field("internal_energy", CELL, "J/kg", "specific internal energy (Mie-Grueneisen pressure only)",
           advected=True, ghosted=True, saved=True),
     Field("particle_fraction", CELL, "1", "share of the cell's mass that came with the particles (output.origin only)",
-          advected=True, ghosted=True, saved=True, shown=True, tag=True),
+          advected=True, ghosted=True, saved=True, tag=True),
     Field("lent_mass", CELL, "1", "mass (in full cells) that the cell has lent to what lies behind absorbing sides",
           ghosted=True, saved=True),
     _velocity("x", (-1, 1, 1)),
@@ -92,8 +93,8 @@ FIELDS: tuple[Field, ...] = (
 
 DERIVED: tuple[Field, ...] = (
     Field("pressure", CELL, "Pa", "pressure of the material"),
-    Field("von_mises", CELL, "Pa", "von Mises stress"),
-    Field("speed", CELL, "m/s", "speed of the material, the mean of the nodes of its cell"),
+    Field("von_mises", CELL, "Pa", "von Mises stress", shown=True),
+    Field("speed", CELL, "m/s", "speed of the material, the mean of the nodes of its cell", shown=True),
 )
 """What is computed for output only, from the fields."""
 
@@ -102,7 +103,12 @@ BY_NAME = {field.name: field for field in FIELDS}
 UNITS = {field.name: field.unit for field in FIELDS + DERIVED}
 """Unit of everything that can be written; "1" for plain numbers."""
 
+SHOWN = tuple(field.name for field in FIELDS + DERIVED if field.shown)
+"""What frames have where the scene does not say."""
+
 STRESS = ("stress_xx", "stress_yy", "stress_zz", "stress_xy", "stress_yz", "stress_xz")
+STRESS_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+"""Row and column of each in the tensor."""
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 VOLUME_FLUX = FORCE[0]

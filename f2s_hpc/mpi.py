@@ -58,6 +58,12 @@ def is_root() -> bool:
     return rank() == ROOT
 
 
+def say(text: str) -> None:
+    """Print ``text`` at once, on rank 0 only."""
+    if is_root():
+        print(text, flush=True)
+
+
 def barrier() -> None:
     """Wait for all ranks."""
     MPI.COMM_WORLD.Barrier()

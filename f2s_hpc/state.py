@@ -17,7 +17,7 @@ ROOM = 3
 
 
 class State:
-    """All fields of this rank, with ghosts.
+    """The fields ``needed`` (:func:`f2s_hpc.fields.needed`) of this rank, with ghosts.
 
     ``views[name]``: local array [k, j, i] of a field; ``flat[name]``: the same memory as one row, as
     kernels take it. ``runs``: active rows; ``columns``: active columns for the y and z sweeps. ``active_rows``: False
@@ -28,13 +28,12 @@ class State:
     below it stay in the lists. 0: nothing sleeps.
     """
 
-    def __init__(self, decomposition: Decomposition, sides: dict[str, str], mie_grueneisen: bool,
-                 loss_heating: bool = True, origin: bool = False, active_rows: bool = True,
-                 displaced: bool = False) -> None:
+    def __init__(self, decomposition: Decomposition, sides: dict[str, str], needed: tuple[fields.Field, ...],
+                 active_rows: bool = True) -> None:
         self.decomposition = decomposition
         self.active_rows = active_rows
         self.part: Part = decomposition.part
-        self.fields = fields.needed(mie_grueneisen, loss_heating, origin, displaced, "absorbing" in sides.values())
+        self.fields = needed
         self.pool = Pool(decomposition, [f.name for f in self.fields])
         self.views = self.pool.views
         self.flat = {name: view.reshape(-1) for name, view in self.views.items()}

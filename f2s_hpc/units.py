@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from decimal import Context, Decimal, InvalidOperation, Overflow
 
 EXACT = Context(prec=60)
-ZERO_CELSIUS = Decimal("273.15")  # K
+_ZERO_CELSIUS = Decimal("273.15")  # K
+ZERO_CELSIUS = float(_ZERO_CELSIUS)
+"""0 degC in K."""
 
 # exponents of metre, kilogram, second, kelvin
 Exponents = tuple[int, int, int, int]
@@ -77,6 +79,12 @@ def _unit_table() -> dict[str, tuple[Decimal, Exponents]]:
 
 UNITS = _unit_table()
 _CELSIUS = ("degC", "°C", "celsius")
+_MEANT = {"c": "degC", "deg": "degC", "degree": "degC", "degrees": "degC", "celsius": "degC", "kelvin": "K", "sec": "s",
+          "mps": "m/s", "mu": "um", "micron": "um", "microns": "um", "micrometer": "um", "micrometers": "um",
+          "micrometre": "um", "micrometres": "um"}
+"""What people write for a unit (in small letters), and how it is written here."""
+LIKELY = 1e3
+"""A number without a unit is hardly in the unit of the example if it is more than so many times larger or smaller."""
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 _FACTOR = re.compile(r"([A-Za-z]+)\^?(-?\d)?")
 
@@ -96,7 +104,7 @@ def _parse_unit(text: str) -> tuple[Decimal, Exponents]:
             name = match[1] if match else one
             if match is None or (name not in UNITS and name != "degC"):
                 close = difflib.get_close_matches(name, UNITS, 1, 0.5)
-                known = {unit.lower(): unit for unit in UNITS}.get(name.lower(), close[0] if close else "")
+                known = (_MEANT | {unit.lower(): unit for unit in UNITS}).get(name.lower(), close[0] if close else "")
                 raise UnitError(f'unknown unit "{name}"' + (f', did you mean "{known}"' if known else ""))
             scale, dimension = UNITS["K" if name == "degC" else name]  # in a product degC is an interval
             power = int(match[2] or 1) * (-1 if index else 1)
@@ -141,9 +149,17 @@ def parse(text: str, dimension: str) -> float:
 
 
 def _needs_unit(number: object, want: Dimension, hint: str) -> str:
-    """Return what to say of a number without a unit: the example, and the number with the unit of the example."""
-    meant = f"{number} {want.example.split(' ', 1)[1]}"
-    return f"a {want.name} needs a unit: {hint}" + (f' or "{meant}"' if meant != want.example else "")
+    """Return what to say of a number without a unit: the example, and the number with the units it may be meant in."""
+    usual, unit = want.example.split(" ", 1)
+    size = abs(float(str(number)) / float(usual))
+    likely = size == 0.0 or 1.0 / LIKELY <= size <= LIKELY
+    meant = [f"{number} {unit}"] if likely else []
+    if want.name == "temperature":
+        meant.append(f"{number} K")
+    elif not likely:
+        meant += [f"{number} {base}" for base in want.shown if _parse_unit(base)[0] == 1]
+    return f"{with_article(want.name)} needs a unit: {hint}" + "".join(
+        f' or "{text}"' for text in meant if text != want.example)
 
 
 def _si_value(digits: str, unit: str, want: Dimension, hint: str) -> float:
@@ -151,10 +167,12 @@ def _si_value(digits: str, unit: str, want: Dimension, hint: str) -> float:
     number = Decimal(digits)
     if not unit:
         raise UnitError(_needs_unit(digits, want, hint))
+    if unit[0] == "," and unit[1:2].isdigit():
+        raise UnitError(f"decimals have a point, not a comma: {hint}")
     if unit in _CELSIUS:
         if want.name != "temperature":
             raise UnitError(f"this is a temperature, but a {want.name} is needed: {hint}")
-        return _checked_float(EXACT.add(number, ZERO_CELSIUS), hint)
+        return _checked_float(EXACT.add(number, _ZERO_CELSIUS), hint)
     try:
         factor, exponents = _parse_unit(unit)
     except UnitError as error:
@@ -178,7 +196,7 @@ def show(value: float, dimension: str) -> str:
     """
     exact = Decimal(repr(float(value)))
     if dimension == "temperature":
-        return f"{_plain(EXACT.subtract(exact, ZERO_CELSIUS))} degC"
+        return f"{_plain(EXACT.subtract(exact, _ZERO_CELSIUS))} degC"
     units = DIMENSIONS[dimension].shown
     if exact == 0:
         return f"0 {'s' if dimension == 'time' else units[0]}"
@@ -200,7 +218,7 @@ def _plain(number: Decimal) -> str:
 def pretty(value: float, dimension: str, digits: int = 4) -> str:
     """Return ``value`` (SI) rounded to ``digits`` significant digits with a unit, for people."""
     if dimension == "temperature":
-        return f"{value - float(ZERO_CELSIUS):.{digits}g} degC"
+        return f"{value - ZERO_CELSIUS:.{digits}g} degC"
     return show(float(f"{value:.{digits}g}"), dimension)
 
 

@@ -6,6 +6,11 @@
 #   LAUNCH      how ranks are started: "mpirun -n" (if not set), or for example "srun --mpi=pmix -n"
 #   DRY_RUN=1   print the commands instead of running them
 
+# JOB_SCRIPT is the job itself where it is another one's with a scene of its own.
+case "${1:-}" in
+    -h | --help) sed -n '2,/^[^#]/{/^#SBATCH/d;s/^# \{0,1\}//p;}' "${JOB_SCRIPT:-$0}"; exit 0 ;;
+esac
+
 LAUNCH=${LAUNCH:-mpirun -n}
 ASKED_TO_END=no # SIGTERM came: somebody, or the batch system, wants this job to be over
 NTASKS=${SLURM_NTASKS:-2}
@@ -74,4 +79,33 @@ run_ranks() {
     done
     trap - USR1 TERM
     return $code
+}
+
+# timed_run RANKS FOLDER DURATION OPTION...: one short cycle of SCENE without output, the steps timed.
+timed_run() {
+    local ranks=$1 folder=$2 duration=$3
+    shift 3
+    run_ranks "$ranks" python -m f2s_hpc.cli.timed_run run "$SCENE" --out "$folder" \
+        --set "domain.cell_size=$CELL_SIZE" "$@" \
+        --set cycles.count=1 --set "cycles.duration=$duration" --set "cycles.last_duration=$duration" \
+        --set particles.flight=eulerian --set output.frames=none --set output.checkpoints=false --set output.picture=false
+}
+
+# scaling_study KIND RUN: RUN (timed_run, or a function like it) on RANKS, or 1, 2, 4, ... ranks, then the table.
+# Returns the code of the last run that failed.
+scaling_study() {
+    local ranks code worst=0
+    RANKS=${RANKS:-$(for ((n = 1; n <= NTASKS; n *= 2)); do echo $n; done)}
+    prepare_node
+    provenance "$OUT.jobs.txt"
+    # the most ranks: they are on every node, and kernels are compiled on each
+    # shellcheck disable=SC2086
+    "$2" "$(printf '%s\n' $RANKS | sort -n | tail -n 1)" "$OUT/compile" "1 ns"
+    for ranks in $RANKS; do
+        code=0
+        "$2" "$ranks" "$OUT/ranks-$ranks" "$DURATION" || code=$?
+        [ $code -eq 0 ] || { echo "the run on $ranks ranks ended with $code"; worst=$code; }
+    done
+    [ "$DRY_RUN" = 1 ] || python jobs/scaling_table.py "$1" "$OUT"
+    return $worst
 }

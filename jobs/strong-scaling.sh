@@ -22,28 +22,10 @@ set -euo pipefail
 
 F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}
 . "$F2S_ROOT/jobs/common.sh"
+[ $# -eq 0 ] || { echo "jobs/strong-scaling.sh: takes variables, no arguments; --help names them" >&2; exit 2; }
 SCENE=${SCENE:-section4}
 CELL_SIZE=${CELL_SIZE:-3 um}
 DURATION=${DURATION:-100 ns}
 OUT=${OUT:-runs/strong-scaling-${SLURM_JOB_ID:-local}}
-RANKS=${RANKS:-$(for ((n = 1; n <= NTASKS; n *= 2)); do echo $n; done)}
 
-# measure RANKS FOLDER DURATION
-measure() {
-    run_ranks "$1" python -m f2s_hpc.cli.timed_run run "$SCENE" --out "$2" --set "domain.cell_size=$CELL_SIZE" \
-        --set cycles.count=1 --set "cycles.duration=$3" --set "cycles.last_duration=$3" \
-        --set particles.flight=eulerian --set output.frames=none --set output.checkpoints=false --set output.picture=false
-}
-
-prepare_node
-provenance "$OUT.jobs.txt"
-# the most ranks: they are on every node, and kernels are compiled on each
-measure "$(printf '%s\n' $RANKS | sort -n | tail -n 1)" "$OUT/compile" "1 ns"
-worst=0
-for ranks in $RANKS; do
-    code=0
-    measure "$ranks" "$OUT/ranks-$ranks" "$DURATION" || code=$?
-    [ $code -eq 0 ] || { echo "the run on $ranks ranks ended with $code"; worst=$code; }
-done
-[ "$DRY_RUN" = 1 ] || python jobs/scaling_table.py strong "$OUT"
-exit $worst
+scaling_study strong timed_run

@@ -24,6 +24,7 @@ set -euo pipefail
 
 F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}
 . "$F2S_ROOT/jobs/common.sh"
+[ $# -eq 0 ] || { echo "jobs/weak-scaling.sh: takes variables, no arguments; --help names them" >&2; exit 2; }
 SCENE=${SCENE:-section4}
 CELL_SIZE=${CELL_SIZE:-3 um}
 DURATION=${DURATION:-100 ns}
@@ -32,7 +33,6 @@ HEIGHT_MM=${HEIGHT_MM:-0.6}
 # The paper's 500 on 0.35 x 0.35 mm, as many on each square millimetre.
 PARTICLES=${PARTICLES:-$(awk -v side="$PATCH_MM" 'BEGIN { printf "%.0f", 500 * (side / 0.35) ^ 2 }')}
 OUT=${OUT:-runs/weak-scaling-${SLURM_JOB_ID:-local}}
-RANKS=${RANKS:-$(for ((n = 1; n <= NTASKS; n *= 2)); do echo $n; done)}
 
 # patch_size RANKS: domain.size for a patch of RANKS columns, as square as it goes.
 patch_size() {
@@ -42,23 +42,10 @@ patch_size() {
     }'
 }
 
-# measure RANKS FOLDER DURATION
-measure() {
-    run_ranks "$1" python -m f2s_hpc.cli.timed_run run "$SCENE" --out "$2" --set "domain.cell_size=$CELL_SIZE" \
-        --set "domain.size=$(patch_size "$1")" --set "batches.particles=$((PARTICLES * $1))" --set batches.count=1 \
-        --set cycles.count=1 --set "cycles.duration=$3" --set "cycles.last_duration=$3" \
-        --set particles.flight=eulerian --set output.frames=none --set output.checkpoints=false --set output.picture=false
+# patch_run RANKS FOLDER DURATION: timed_run of the patch for so many ranks.
+patch_run() {
+    timed_run "$@" --set "domain.size=$(patch_size "$1")" --set "batches.particles=$((PARTICLES * $1))" \
+        --set batches.count=1
 }
 
-prepare_node
-provenance "$OUT.jobs.txt"
-# the most ranks: they are on every node, and kernels are compiled on each
-measure "$(printf '%s\n' $RANKS | sort -n | tail -n 1)" "$OUT/compile" "1 ns"
-worst=0
-for ranks in $RANKS; do
-    code=0
-    measure "$ranks" "$OUT/ranks-$ranks" "$DURATION" || code=$?
-    [ $code -eq 0 ] || { echo "the run on $ranks ranks ended with $code"; worst=$code; }
-done
-[ "$DRY_RUN" = 1 ] || python jobs/scaling_table.py weak "$OUT"
-exit $worst
+scaling_study weak patch_run

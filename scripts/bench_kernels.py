@@ -20,15 +20,11 @@ from f2s_hpc.bench import kernels, states
 from f2s_hpc.errors import F2SError
 
 
-def _say(text: str) -> None:
-    if mpi.is_root():
-        print(text, flush=True)
-
-
 def main(arguments: list[str]) -> int:
     """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--states", default=",".join(states.STATES), metavar="NAME[,NAME..]")
+    parser.add_argument("--states", default=",".join(states.STATES), metavar="NAME[,NAME..]",
+                        help="of: " + ", ".join(states.STATES))
     parser.add_argument("--sizes", default=",".join(kernels.SIZES), metavar="SIZE[,SIZE..]",
                         help="S, M, L, XL: 8,192 to 524,288 cells")
     parser.add_argument("--json", metavar="FILE", help="write all rows as JSON")
@@ -38,7 +34,7 @@ def main(arguments: list[str]) -> int:
     try:
         if chosen.json:
             mpi.run_together(places.check_file, chosen.json, "--json")
-        machine, rows = kernels.run(chosen.states.split(","), chosen.sizes.split(","), not chosen.no_count, _say)
+        machine, rows = kernels.run(chosen.states.split(","), chosen.sizes.split(","), not chosen.no_count, mpi.say)
         if chosen.json and mpi.is_root():
             kernels.write_json(chosen.json, machine, rows)
     except F2SError as error:

@@ -27,12 +27,14 @@ STUDY = ["domain.cell_size=6 um", "batches.count=1", "particles.flight=eulerian"
 
 def _arguments(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kind", choices=("strong", "weak", "both"), default="both")
+    parser.add_argument("--kind", choices=("strong", "weak", "both"), default="both",
+                        help="of one size on more and more ranks, of as much for each rank, or both (default)")
     parser.add_argument("--ranks", metavar="N[,N..]", help="default: 1, 2, 4, ... up to the cores")
     parser.add_argument("--scene", help="default: section4 at 6 um")
-    parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[])
+    parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
+                        help="replace one value of the scene")
     parser.add_argument("--duration", default="30 ns", help="simulated time of each run (30 ns, some 38 steps at 6 um)")
-    parser.add_argument("--out", default="runs/scaling", help="new folder")
+    parser.add_argument("--out", default="runs/scaling", help="new folder (runs/scaling)")
     parser.add_argument("--launcher", default="mpirun -n", help='what starts ranks ("mpirun -n")')
     parser.add_argument("--dry-run", action="store_true", help="print the commands only")
     return parser.parse_args(words)

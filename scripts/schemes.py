@@ -24,11 +24,11 @@ from f2s_hpc.errors import F2SError
 def main(words: list[str]) -> int:
     """Run both, print the tables; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--ranks", type=int, default=2)
+    parser.add_argument("--ranks", type=int, default=2, help="of both runs (2)")
     parser.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
                         help="for both runs")
     parser.add_argument("--batches", metavar="FILE[,FILE..]", help="default: those of section4, generated")
-    parser.add_argument("--out", default="runs/schemes")
+    parser.add_argument("--out", default="runs/schemes", help="folder of both runs (runs/schemes)")
     parser.add_argument("--launcher", default="mpirun -n", help='what starts ranks ("mpirun -n")')
     parser.add_argument("--dry-run", action="store_true", help="print the commands only")
     chosen = parser.parse_args(words)

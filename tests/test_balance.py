@@ -14,7 +14,7 @@ from f2s_hpc.build import build_state
 from f2s_hpc.config import load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.errors import InputError
-from f2s_hpc.fields import BY_NAME, CELL
+from f2s_hpc.fields import BY_NAME, CELL, needed
 from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import Decomposition, ownership_ranges
 from f2s_hpc.io import runs
@@ -138,7 +138,7 @@ def test_ghosts_of_uneven_ranges_are_what_their_owners_hold():
     grid = (mpi.size(), 1, 1)
     weights = (np.where(np.arange(cells[0]) < 12, 5.0, 1.0), np.ones(13))
     ranges = ownership_ranges(Box(cells, 1e-6), grid, weights)
-    state = State(Decomposition(Box(cells, 1e-6), ranges=ranges), ALL_SYMMETRY, False)
+    state = State(Decomposition(Box(cells, 1e-6), ranges=ranges), ALL_SYMMETRY, needed(False))
     assert state.part.count[0] == ranges[0][mpi.rank()]
     for name in ("mass", "velocity_x"):
         on_nodes = BY_NAME[name].location != CELL
@@ -177,5 +177,3 @@ def test_check_tells_the_imbalance(run_f2s, tmp_path):
     assert done.returncode == 0, done.stderr
     line = next(text for text in done.stdout.splitlines() if text.startswith("# imbalance"))
     assert "with ranges weighted by the expected deposit" in line
-
-

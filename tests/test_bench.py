@@ -27,7 +27,7 @@ from f2s_hpc.solver import lagrange
 @pytest.mark.mpi
 def test_hook_sees_every_kernel_of_a_step_and_leaves_nothing_behind():
     """Fails if a caller of kernels is missing in ``hook.CALLERS``."""
-    model = states.model_of()
+    model = states.default_model()
     setup = states.flying(model)
     watches = Stopwatches()
     kept = lagrange.force
@@ -47,7 +47,7 @@ def test_hook_sees_every_kernel_of_a_step_and_leaves_nothing_behind():
 
 @pytest.mark.mpi
 def test_hooked_step_gives_the_same_bits():
-    model = states.model_of()
+    model = states.default_model()
     one, other = states.flying(model), states.flying(model)
     one.advance(2)
     with hooked(Stopwatches().wrap):
@@ -59,7 +59,7 @@ def test_hooked_step_gives_the_same_bits():
 @pytest.mark.mpi
 def test_tiles_step_like_the_patch():
     """Two mirror images side by side: the low one stays the patch, whatever the number of ranks."""
-    model = states.model_of()
+    model = states.default_model()
     saved = states.save(states.flying(model))
     small, wide = (states.tiled(saved, model, tiles) for tiles in ((1, 1), (2, 1)))
     for setup in (small, wide):

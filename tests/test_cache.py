@@ -108,3 +108,14 @@ def test_a_cache_that_cannot_be_written_gives_way_to_a_temporary_one(tmp_path):
     child = ("import subprocess, sys; from f2s_hpc import _cache; _cache.use();"
              f"subprocess.run([sys.executable, '-c', {ASK!r}])")
     assert asked(child, F2S_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path)) == folder
+
+
+def test_a_kernel_is_compiled_only_where_it_is_itself(tmp_path):
+    """As ``f2s check`` compiles some that a run needs, but not those of the step, which take a minute.
+
+    Fails if ``is_compiled`` looks for any kernel.
+    """
+    code = ("from f2s_hpc._jit import is_compiled; from f2s_hpc.kernels import scratch, strain;"
+            "before = is_compiled(scratch.rank); scratch.rank(1.0);"
+            "print(before, is_compiled(scratch.rank), is_compiled(strain.lagrangian_step), is_compiled(len))")
+    assert asked(code, F2S_CACHE_DIR=str(tmp_path)) == "False True False True"

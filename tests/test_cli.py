@@ -16,7 +16,8 @@ from conftest import launch
 
 from f2s_hpc import mpi
 from f2s_hpc.cli import tasks
-from f2s_hpc.cli.main import main
+from f2s_hpc.cli.main import _parser, main
+from f2s_hpc.cli.notes import crowded_nodes, scene_notes
 from f2s_hpc.config import load_scene, scene_hash, scene_names
 from f2s_hpc.particles.batch import read_csv
 from f2s_hpc.particles.plan import make_batches
@@ -130,11 +131,23 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
         assert abs(int(re.search(r"\d+", facts["steps"])[0]) - 40e-9 / step) < 2
         for name in ("memory", "frames", "checkpoints"):
             assert re.search(r"\d (KiB|MiB|kB|MB|B)\b", facts[name]), facts[name]
-        scene = tomllib.loads(out)
+        assert facts["resolution"].startswith("4.75 cells across the median particle of 19 um")
+        scene = tomllib.loads(out)  # (its notes are remarks too, so that it may be kept as a scene)
+        assert "# note: cycles.duration" in out
         assert scene["domain"]["cell_size"] == "4 um"
         assert scene["numerics"]["courant"] == 0.7
     mpi.barrier()
     assert snapshot(workplace) == before
+
+
+def test_more_ranks_than_cores_are_told(capsys, monkeypatch, tmp_path):
+    """Fails if ranks are counted over all nodes, or ``_finish`` does not ask."""
+    assert crowded_nodes([("one", 2), ("two", 2), ("one", 2), ("two", 2)]) == []
+    assert crowded_nodes([("one", 4), ("two", 2), ("two", 2), ("two", 2)])[0].startswith("3 ranks share 2 cores of two")
+    monkeypatch.setattr(tasks, "crowded_nodes", lambda ranks: [f"{len(ranks)} asked"])
+    assert main(["run", "splat-quarter", "--out", str(tmp_path / "r"), "--set", "cycles.duration=1 ns", "--set",
+                 "domain.cell_size=6 um", "--set", "output.picture=false"]) == 0
+    assert f"note: {mpi.size()} asked" in capsys.readouterr().out
 
 
 @pytest.mark.mpi
@@ -234,12 +247,35 @@ def test_mpirun_gets_the_exit_code_of_bad_input(tmp_path):
     assert os.listdir(tmp_path) == ["two.toml"]
 
 
+@pytest.mark.parametrize(("changes", "keys"), [
+    ([], []), (["cycles.count=40"], ["domain.size"]), (["cycles.last_duration=60 ns"], ["cycles.last_duration"]),
+    (["particles.speed=300 m/s"], ["cycles.duration", "cycles.last_duration"]),
+    (["particles.speed=300 m/s", "cycles.count=40"], ["domain.size", "cycles.duration"])])
+def test_a_low_box_and_short_cycles_are_told_and_what_is_enough(changes, keys):
+    """Each note in turn is followed until none is left.
+
+    Fails if ``scene_notes`` leaves one out or tells it of a scene that is right, or if ``_late`` takes another height
+    than that of the layer's bottom, or of the deposit at the end.
+    """
+    changes, told = list(changes), []
+    while notes := scene_notes(scene := load_scene("quickstart", changes), make_batches(scene)):
+        key, text = notes[0].split(": ", 1)
+        told.append(key)
+        enough = re.search(r"; ([\d.]+ [a-z]+) let all|make the box ([\d.]+ [a-z]+) high", text)
+        size = [f"{length} m" for length in scene.domain.size[:2]]
+        changes.append(f"{key}={json.dumps([*size, enough[2]]) if enough[2] else enough[1]}")
+        assert len(told) <= len(keys), notes
+    assert told == keys
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize(("arguments", "word"), [
     (["runn", "quickstart"], "runn"), (["run"], "SCENE"), (["run", "splat", "--oout", "x"], "--oout"),
+    (["run", "splat", "runs/x"], "f2s run: unrecognized arguments: runs/x; 'f2s run --help'"),
+    (["check", "splat", "--set", "domain.cell_size", "=", "6 um"], "KEY=VALUE without spaces around ="),
     (["analyse", "x", "--cycle", "one"], "'one'")])
 def test_wrong_arguments_are_one_line_from_rank_0(capsys, arguments, word):
-    """Fails if every rank prints, or if the usage comes along."""
+    """Fails if every rank prints, if the usage comes along, or if ``parse_known_args`` leaves it to f2s."""
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2
@@ -247,6 +283,15 @@ def test_wrong_arguments_are_one_line_from_rank_0(capsys, arguments, word):
     assert not out
     assert len(err.splitlines()) == int(mpi.is_root())
     assert not mpi.is_root() or word in err
+
+
+def test_the_help_of_each_command_explains_all_it_takes():
+    """Fails if an argument of any command is added, or left, without ``help``: nothing but its name is told then."""
+    (choice,) = _parser()._subparsers._group_actions
+    assert len(choice.choices) > 10
+    unexplained = {f"{name} {action.metavar or action.dest}" for name, parser in choice.choices.items()
+                   for action in parser._actions if not action.help}
+    assert unexplained == set()
 
 
 def test_mpirun_gets_the_exit_code_of_wrong_arguments(tmp_path):

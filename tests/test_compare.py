@@ -238,6 +238,12 @@ def test_run_folder_is_made_once(shared_path):
         runs.prepare_run_folder(run)
     mpi.barrier()
     if mpi.is_root():
+        run.rename(run.with_name("my run"))
+    mpi.barrier()
+    with pytest.raises(InputError, match=r"'f2s resume '.*my run''"):  # (a shell must get it as one word)
+        runs.prepare_run_folder(run.with_name("my run"))
+    mpi.barrier()
+    if mpi.is_root():
         (shared_path / "other").mkdir()
         (shared_path / "other" / "thesis.tex").touch()
         (shared_path / "empty").mkdir()

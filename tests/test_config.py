@@ -245,6 +245,7 @@ def test_wrong_override_names_its_key(override, words):
     ('"0.102 mm"', '"0.26 mm"', ["domain.particle_layer_height does not fit", "252 um"]),
     ('"0.102 mm"', '"0.04 mm"', ["domain.particle_layer_height leaves 40 um", "batches.diameter_max (45 um)"]),
     ('temperature = "450 degC"', 'temperature = "-300 degC"', ["particles.temperature", "must be at least 0"]),
+    ('speed = "615 m/s"', 'velocity = "1 m/s"', ['unknown key "particles.velocity"', "particles.speed is missing)"]),
     ('speed = "615 m/s"', "", ["particles.speed is missing", 'speed = "615 m/s"']),
     ('scheme = "recurring"', 'scheme = "recuring"', ['scheme = "recuring"', "'recurring' or 'standard'"]),
     ('scheme = "recurring"', 'scheme = "standard"', ["cycles.count must be 1"]),
@@ -325,9 +326,14 @@ def test_several_problems_are_counted_and_a_typo_comes_first(scene_file):
     assert "more)" not in message(path)
 
 
-def test_files_that_are_no_scenes(tmp_path):
+def test_files_that_are_no_scenes(tmp_path, monkeypatch):
+    """Fails if ``_read`` does not look for the file beside, whose ending was forgotten."""
     assert 'did you mean "section4"' in message("sektion4")
     assert "possible: multitrack, quickstart, section4" in message("xyz")
+    (tmp_path / "mine.toml").write_text("")
+    assert message(str(tmp_path / "mine")) == f"{tmp_path / 'mine'}: no such file"
+    monkeypatch.chdir(tmp_path)
+    assert 'did you mean "mine.toml"?' in message("mine")
     assert "no such file" in message(str(tmp_path / "missing.toml"))
     assert "not a file" in message(str(tmp_path))
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00title")

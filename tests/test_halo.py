@@ -13,7 +13,7 @@ from solver_setup import ALL_SYMMETRY, STANDARD_SIDES, make_model, make_setup
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
-from f2s_hpc.fields import BY_NAME, CELL, FIELDS, VELOCITY
+from f2s_hpc.fields import BY_NAME, CELL, FIELDS, VELOCITY, needed
 from f2s_hpc.grid import halo
 from f2s_hpc.grid.box import GHOST, SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition, process_grid
@@ -82,7 +82,7 @@ def test_ghosts_are_what_their_global_index_says(sides):
     ``layer - 1`` of ``fill_side`` becomes ``layer``.
     """
     for grid in process_grids():
-        state = State(Decomposition(Box(CELLS, 1e-6), grid), sides, True)
+        state = State(Decomposition(Box(CELLS, 1e-6), grid), sides, needed(True))
         part = state.part
         for name in state.ghosted:
             state.views[name][...] = np.nan
@@ -102,7 +102,7 @@ def test_ghosts_are_what_their_global_index_says(sides):
 @pytest.mark.usefixtures("messages")
 def test_exchange_touches_only_the_named_fields():
     """Fails when ``Pool._packed``, or ``_plan``, runs over ``self.names``."""
-    state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, False)
+    state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, needed(False))
     for name in state.ghosted:
         state.views[name][...] = np.nan
         state.owned(name)[...] = 1.0
@@ -121,7 +121,7 @@ def test_only_ghosts_up_to_the_highest_material_are_exchanged(monkeypatch):
     monkeypatch.setattr(halo, "HEADROOM", 1)
     monkeypatch.setattr(halo, "STRIDE", 2)
     for grid in process_grids():
-        state = State(Decomposition(Box(CELLS, 1e-6), grid), ALL_SYMMETRY, False)
+        state = State(Decomposition(Box(CELLS, 1e-6), grid), ALL_SYMMETRY, needed(False))
         part, names = state.part, ("mass", "velocity_x")
         for highest, limit in ((3, 7), (5, 7), (6, 10)):  # one plane more, and two more at once when it grows
             state.pool.cover(highest)
@@ -147,7 +147,7 @@ def test_only_ghosts_up_to_the_highest_material_are_exchanged(monkeypatch):
 @pytest.mark.mpi
 def test_memory_of_work_fields_is_given_back_and_no_other():
     """Big enough that each field has pages of its own; fails when ``give_back`` rounds its first page down."""
-    state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, False)
+    state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, needed(False))
     for view in state.views.values():
         view[...] = 3.0
     state.release_work()
@@ -165,7 +165,7 @@ def test_memory_of_work_fields_is_given_back_and_no_other():
 @pytest.mark.mpi
 def test_memory_of_rows_far_from_material_is_given_back_and_no_other():
     """Fails when ``release_empty`` keeps no ``ROOM``, forgets the row of nodes more, or takes axis j for k."""
-    state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, False)
+    state = State(Decomposition(Box((40, 40, 40), 1e-6)), MIXED, needed(False))
     for view in state.views.values():
         view[...] = 3.0
     state.active[:] = 0
@@ -201,7 +201,7 @@ def test_walls_hold_their_velocities():
 
     Fails when ``free_motion[axis, axis, wall]`` becomes ``free_motion[axis, :, wall]``.
     """
-    state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, False)
+    state = State(Decomposition(Box(CELLS, 1e-6)), MIXED, needed(False))
     for name in VELOCITY:
         state.views[name][...] = 1.0
     state.boundary.hold([state.views[name] for name in VELOCITY])

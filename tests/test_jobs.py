@@ -33,6 +33,18 @@ def test_job_dry_run_prints_its_commands(project, job):
 
 
 @pytest.mark.parametrize("job", JOBS)
+def test_a_job_explains_itself_and_starts_nothing(project, job):
+    """Fails if ``--help`` goes on to the commands, as any other word does, or tells of the job behind it."""
+    done = bash([f"jobs/{job}.sh", "--help"], project)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0] == (ROOT / f"jobs/{job}.sh").read_text(encoding="utf-8").splitlines()[1].removeprefix("# ")
+    assert any(f"jobs/{job}.sh" in line for line in lines)
+    assert not any("SBATCH" in line or "set -" in line for line in lines)
+    assert not (project / "runs").exists()
+
+
+@pytest.mark.parametrize("job", JOBS)
 def test_jobs_start_from_any_folder(project, job):
     """Fails if a job looks for the repository where it is called, or a slash at the end of OUT puts files into it."""
     (project / "elsewhere").mkdir()
@@ -43,6 +55,13 @@ def test_jobs_start_from_any_folder(project, job):
     assert done.returncode == 0, done.stdout + done.stderr
     assert [path.name for path in (project / "runs").iterdir()] == ["o.jobs.txt"]
     assert "--out runs/o/" not in done.stdout.replace("runs/o/ranks", "").replace("runs/o/compile", "")
+
+
+@pytest.mark.parametrize("kind", ["strong", "weak"])
+def test_scaling_jobs_refuse_arguments_that_they_would_not_heed(project, kind):
+    done = bash([f"jobs/{kind}-scaling.sh", "--set", "domain.cell_size=6 um"], project, DRY_RUN="1")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"jobs/{kind}-scaling.sh: takes variables, no arguments; --help names them\n"
 
 
 def test_weak_scaling_keeps_the_work_of_a_rank(project):

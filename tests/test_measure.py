@@ -11,7 +11,7 @@ from f2s_hpc.build import build_ledger, build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch, paint_substrate
-from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.fields import STRESS, VELOCITY, needed
 from f2s_hpc.grid.box import SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition
 from f2s_hpc.particles.batch import Batch, clipped_volume
@@ -38,7 +38,7 @@ def state(request) -> State:
     scene = parse_scene(SCENE, "test")
     grid = None if request.param == "columns" else (1, 1, mpi.size())
     sides = {side: getattr(scene.domain.faces, side) for side in SIDES}
-    return State(Decomposition(Box(CELLS, DX), grid), sides, False)
+    return State(Decomposition(Box(CELLS, DX), grid), sides, needed(False))
 
 
 def put(state: State, name: str, whole: np.ndarray) -> None:

@@ -373,8 +373,10 @@ def test_a_scene_with_a_mark_is_read_and_one_too_deep_refused(tmp_path, text):
     (["run", "splat", "--out", ""], "names no folder"),
     (["check", "splat", "--set", "output.frame_interval=1e-30 s"], "1e+06 are possible"),
     (["verify", "--extreme", "--levers"], "one after the other"),
-    (["plan", "splat", "--rates", "nowhere/rates.json"], "no folder nowhere")])
+    (["plan", "splat", "--rates", "nowhere/rates.json"], "no folder nowhere"),
+    (["resume", "."], "no such folder; is . the folder of a run?")])
 def test_small_mistakes_are_one_line(capsys, monkeypatch, tmp_path, arguments, said):
+    """Nor do they leave anything. Fails if ``resume`` locks a folder before it looks whether that is a run's."""
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     error = capsys.readouterr().err

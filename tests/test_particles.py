@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -39,7 +40,7 @@ def scene(**changes) -> SimpleNamespace:
                "diameter_d90": 52 * UM, "diameter_min": 10 * UM, "diameter_max": 85 * UM, "distribution": "uniform",
                "even_sides": False, "mirror_repeats": ()}
     domain = {"size": (0.15 * MM, 0.12 * MM, 0.4 * MM), "substrate_height": 0.1 * MM,
-              "particle_layer_height": 0.2 * MM}
+              "cell_size": 3 * UM, "particle_layer_height": 0.2 * MM}
     cycles, scheme = {"count": changes.pop("cycle_count", 5)}, changes.pop("scheme", "recurring")
     for name, value in changes.items():
         (domain if name in domain else batches)[name] = value
@@ -237,8 +238,13 @@ def test_csv_round_trip_is_exact(tmp_path):
     assert float(lines[2].split(",")[3]) == pytest.approx(1e3 * batch.r[1], rel=1e-15, abs=0.0)
 
 
-def test_csv_accepts_windows_lines_byte_order_mark_and_any_column_order(tmp_path):
-    (tmp_path / "b.csv").write_bytes(b"\xef\xbb\xbfr, z,y,x\r\n0.01,3e-2,0.2,0.1\r\n\r\n")
+def test_csv_accepts_what_spreadsheets_write(tmp_path):
+    """A byte order mark, Windows lines, large letters, any order, rows of commas alone, remarks.
+
+    Fails when ``split_rows`` leaves out only what is blank.
+    """
+    text = b"\xef\xbb\xbf# mine\r\nR, z,Y,x\r\n0.01,3e-2,0.2,0.1\r\n\r\n,,,\r\n"
+    (tmp_path / "b.csv").write_bytes(text)
     batch = read_csv(tmp_path / "b.csv")
     assert (batch.x[0], batch.y[0], batch.z[0], batch.r[0]) == (1e-4, 2e-4, 3e-5, 1e-5)
     assert batch.count == 1
@@ -254,6 +260,8 @@ def test_csv_accepts_windows_lines_byte_order_mark_and_any_column_order(tmp_path
     ("x,y,z,r\n0.1,0.1,,0.01\n", "row 1: z is ''"), ("x,y,z,r\n1e9999999,0.1,0.1,0.01\n", "row 1: x is '1e9999999'"),
     (f"x,y,z,r\n0.1,0.1,0.1,1e{10**20}\n", "row 1: r is '1e100"),
     ("x,y,z,r\n0.1,1e400,0.1,0.01\n", "row 1: y is '1e400'"), ("x,y,z,r\n0.1,0.1,snan,0.01\n", "row 1: z is 'snan'"),
+    ("x;y;z;r\n0,1;0,1;0,1;0,01\n", "separated by semicolons; commas are needed, and decimals with a point: sed"),
+    ("x\ty\tz\tr\n0.1\t0.1\t0.1\t0.01\n", "separated by tabs"), ("x,y,z,r\n0,1,0,1,0,1,0,01\n", "they need a point"),
     ('x,y,z,r\n0.1,0.1,0.1,0.01\n"' + 9000 * "0.1,0.1,0.1,0.01\n", "row 2: cannot be split into values"),
     ('"x,y,z,r\n' + 9000 * "0.1,0.1,0.1,0.01\n", "the first line: cannot be split into values"),
     ('x,y,z,r\n0.1,0.1,0.1,"' + 1000 * "0.1,0.1,0.1,0.01\n", "row 1: r is '0.1,0.1"),
@@ -267,6 +275,17 @@ def test_csv_errors_name_file_and_row(tmp_path, text, words):
     assert words in str(error.value)
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < len(str(path)) + 200
+
+
+@pytest.mark.parametrize("text", ["x;y;z;r\n0,1;0,2;0,3;0,04\n", "x\ty\tz\tr\n0.1\t0.2\t0.3\t0.04\n"])
+def test_the_command_that_a_message_names_makes_the_file_readable(tmp_path, text):
+    """Fails when ``split_rows`` names a command that leaves decimal commas, or its marks, in place."""
+    (tmp_path / "old.csv").write_text(text)
+    with pytest.raises(InputError) as error:
+        read_csv(tmp_path / "old.csv")
+    subprocess.run(str(error.value).split("point: ")[1], shell=True, cwd=tmp_path, check=True)
+    batch = read_csv(tmp_path / "new.csv")
+    assert (batch.x[0], batch.y[0], batch.z[0], batch.r[0]) == (1e-4, 2e-4, 3e-4, 4e-5)
 
 
 def test_csv_that_cannot_be_read_or_written(tmp_path):
@@ -416,6 +435,15 @@ def test_spheres_outside_the_layer_are_refused_with_file_and_row(tmp_path, spher
         make_batches(scene(spheres=[[value * UM for value in sphere]]))
     towards = np.sign(np.array([75, 60, 100, 20]) - sphere) * [2, 2, 6, 0]
     make_batches(scene(spheres=[list((np.array(sphere) + towards) * UM)]))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "micrometres"), (1e-3, "metres")])
+def test_a_file_in_other_units_is_told(tmp_path, factor, unit):
+    """Fails when ``_refuse_other_units`` takes the largest radius for the smallest, or is not called."""
+    path = tmp_path / "b.csv"
+    write_csv(path, Batch(*(np.array([v, 1.1 * v]) * factor * UM for v in (30.0, 30.0, 50.0, 10.0))))
+    with pytest.raises(InputError, match=rf"b.csv: a radius of .* are its numbers {unit}\? millimetres"):
+        make_batches(load_scene("section4", [f"batches.files=['{path}']"]))
 
 
 def test_spheres_that_touch_an_end_of_the_layer_are_inside():

@@ -6,8 +6,14 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
+from collections import Counter
 
 from conftest import ROOT, f2s
+
+from f2s_hpc.cli.notes import scene_notes
+from f2s_hpc.config import load_scene, scene_text
+from f2s_hpc.particles.plan import make_batches
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -36,3 +42,50 @@ def test_each_command_of_readme_is_one(tmp_path):
     assert all(re.search(rf"^ +{command}\b", listed, re.MULTILINE) for command in commands), commands
     for script in set(re.findall(r"(?:scripts|jobs)/[a-z0-9_.-]+[a-z0-9]", README)):
         assert (ROOT / script).exists(), script
+
+
+def anchors() -> list[str]:
+    """Return the anchors of all headings, as GitHub makes them: small letters, hyphens for blanks, no other marks."""
+    text = re.sub(r"```.*?```", "", README, flags=re.DOTALL)
+    heads = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return [re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads]
+
+
+def test_each_link_leads_somewhere():
+    """Fails when a heading is renamed and a link to it is not, two have one name, or a section is in no list."""
+    found = anchors()
+    assert [name for name, times in Counter(found).items() if times > 1] == []
+    targets = re.findall(r"\]\(([^)\s]+)\)", README)
+    assert len(targets) > 30
+    for target in targets:
+        if target.startswith("#"):
+            assert target[1:] in found, target
+        elif "://" not in target:
+            assert (ROOT / target).exists(), target
+    contents, *sections = README.split("\n## Contents\n")[1].split("\n## ")
+    assert {*re.findall(r"\[([^\]]+)\]\(#", contents), "Licence"} == {text.split("\n")[0] for text in sections}
+
+
+def test_lines_are_short_and_what_is_opened_is_closed():
+    """Tables and pictures need one line each. Fails for any other line above 120 characters."""
+    assert [line for line in README.splitlines() if len(line) > 120 and not line.startswith(("|", "!"))] == []
+    for mark in ("details", "summary"):
+        assert README.count(f"<{mark}>") == README.count(f"</{mark}>")
+
+
+def test_the_lines_for_an_own_scene_make_one(tmp_path):
+    """They replace those of ``section4``, as README says, and nothing is left to be noted.
+
+    Fails when a key of theirs is renamed, a material is, or the cycles are shorter than the flight through the layer.
+    """
+    (lines,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
+    text = scene_text("section4")
+    for section, keys in tomllib.loads(lines).items():
+        for key, value in keys.items():
+            text, count = re.subn(rf"(\[{section}\]\n(?:[^\[\n].*\n)*?){key} = .*", rf'\g<1>{key} = "{value}"', text)
+            assert count == 1, key
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    scene = load_scene(tmp_path / "mine.toml")
+    assert (scene.particles.speed, scene.batches.diameter_d50, scene.material.name) == (
+        700.0, 28e-6, "aluminium-6061-t6")
+    assert scene_notes(scene, make_batches(scene)) == []

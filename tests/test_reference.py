@@ -71,6 +71,9 @@ def test_defaults_are_those_of_a_scene(capsys):
     ("spheres", ["4 values in brackets: a length, a length, a length, a length above 0"]),
     ("particles.temperature", ['a temperature of at least 0 K, as in "450 degC"']),
     ("wall_time", ["run.wall_time (may be left out)", 'a time above 0, as in "90 min"']),
+    ("dwell", ["next batch, in which nothing moves", 'a time above 0, as in "10 ms"']),
+    ("backing", ["below the box, through which", 'a length of at least 0, as in "3 mm"']),
+    ("output.view.x", ["where along x; one length"]),
     ("conduction", ["numerics.conduction = true", "true or false"]),
     ("eta", ["an inverse temperature above 0"]),
     ("m", ["a number above 0, as in 1.09 (copper-johnson-cook)"]),
@@ -99,7 +102,8 @@ def test_a_key_has_meaning_values_and_default(capsys, key, words):
     ("particles", "[particles]",
      [f"particles.{key}" for key in ("speed", "speed_curvature", "speed_per_diameter", "speed_diameter",
                                      "lateral_velocity", "lateral_slope", "lateral_curvature", "direction",
-                                     "temperature", "flight", "stream", "stream_laws")]),
+                                     "temperature", "temperature_per_diameter", "temperature_diameter", "flight",
+                                         "stream", "stream_laws")]),
 ])
 def test_a_section_or_key_is_told_alone(capsys, name, first, keys):
     """Fails if more than what was asked for is printed, or a key named like a section (batches.particles) with it."""

@@ -24,7 +24,8 @@ from f2s_hpc.report.quantities import Quantity, percent
 def test_an_empty_deposit_is_compared_and_drawn_without_nonsense(monkeypatch, tmp_path):
     """Nothing lies on the substrate of one run, which has none itself: no number of it, and no percentage of nothing.
 
-    Fails when ``depth_tables`` interpolates in no layer, or ``percent`` divides by what is round-off.
+    Fails when ``depth_tables`` interpolates in no layer, ``percent`` divides by what is round-off, or ``draw_all``
+    draws the flattening of no particle.
     """
     first = made()
     nothing = np.zeros_like(first.fraction)
@@ -40,6 +41,7 @@ def test_an_empty_deposit_is_compared_and_drawn_without_nonsense(monkeypatch, tm
     runs = [(name, measure(deposit, SETTINGS)) for name, deposit in both.items()]
     assert "PEEQ of the deposit: 2.000 (a) and - (b, -)" in " ".join(facts.findings(runs))
     assert draw_all(tmp_path, runs)["profile"][0].exists()
+    assert "flattening" not in draw_all(tmp_path, runs[1:])  # (no axes around no particles)
     scan = Profile(np.array([0.0, 60e-6]), np.array([10e-6, 10e-6]))
     assert "overlap: nothing has landed" in " ".join(measure(bare, SETTINGS, scan).notes)
 

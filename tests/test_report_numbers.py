@@ -100,7 +100,7 @@ def test_what_flies_is_no_part_of_the_deposit():
 
 
 def test_settings_reach_what_they_set():
-    """Fails when ``measure`` drops ``symmetric``, ``layer``, ``sections`` or ``smallest_pore``."""
+    """Fails when ``measure`` drops ``symmetric``, ``layer``, ``sections``, ``smallest_pore`` or ``prominence``."""
     deposit = made()
     settings = dataclasses.replace(SETTINGS, symmetric=True, layer=20e-6, sections=3, smallest_pore=1)
     found, plain = measure(deposit, settings), measure(deposit, SETTINGS)
@@ -108,6 +108,9 @@ def test_settings_reach_what_they_set():
     assert found.size.area == pytest.approx(2.0 * plain.size.area, rel=1e-9)
     assert np.diff(found.distributions["peeq"].low)[-2] == pytest.approx(20e-6)
     assert (found.porosity.image.sections, found.porosity.image.smallest) == (6, 1)
+    odd = dataclasses.replace(deposit, landed=deposit.fraction > 0.0)
+    ridges = measure(odd, dataclasses.replace(SETTINGS, prominence=0.05))
+    assert ridges.flattening.count > measure(odd, SETTINGS).flattening.count
 
 
 def test_layers_are_as_thick_as_whole_cells_and_say_so():

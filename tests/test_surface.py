@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 
-from f2s_hpc.analysis.surface import attached_material, dense_height, surface_height
-from f2s_hpc.errors import InputError
+from f2s_hpc.analysis.surface import attached_material, dense_height, landed_surface
 
 DX = 2e-6
-SLOW, FAST = 1.0, 615.0
-LIMIT = 61.5
 
 
-def column(*fill, speed=None):
-    """Return a box of one column, from the bottom up, all at rest unless told."""
+def height_of_column(*fill, flying=()):
+    """Return the height of a box of one column, from the bottom up; all but the cells ``flying`` has landed."""
     fraction = np.array(fill, dtype=float).reshape(-1, 1, 1)
-    return fraction, np.full(fraction.shape, SLOW) if speed is None else np.array(speed, float).reshape(-1, 1, 1)
+    landed = np.ones(fraction.shape, dtype=bool)
+    landed[list(flying)] = False
+    return landed_surface(fraction, landed, DX)[0, 0]
 
 
 @pytest.mark.parametrize(("fill", "cells"), [
@@ -29,22 +28,20 @@ def column(*fill, speed=None):
 ])
 def test_height_of_a_column_at_rest(fill, cells):
     """Fails when the fill of the cell above is left out, or the top is sought from below."""
-    assert surface_height(*column(*fill), DX, LIMIT) == pytest.approx(np.array([[cells * DX]]), abs=1e-18)
+    assert height_of_column(*fill) == pytest.approx(cells * DX, abs=1e-18)
 
 
 def test_a_particle_in_flight_does_not_count():
-    """Fails when ``landed`` leaves out the speed."""
-    fraction, speed = column(1.0, 0.8, 0.0, 0.4, 1.0, 0.6, speed=[0.0, SLOW, 0.0, FAST, FAST, FAST])
-    assert surface_height(fraction, speed, DX, LIMIT)[0, 0] == pytest.approx(1.8 * DX)
-    speed[:] = SLOW
-    assert surface_height(fraction, speed, DX, LIMIT)[0, 0] == pytest.approx(5.6 * DX)
+    """Fails when ``solid`` leaves out ``landed``."""
+    fill = (1.0, 0.8, 0.0, 0.4, 1.0, 0.6)
+    assert height_of_column(*fill, flying=(3, 4, 5)) == pytest.approx(1.8 * DX)
+    assert height_of_column(*fill) == pytest.approx(5.6 * DX)
 
 
 @pytest.mark.parametrize("fill_above", [0.3, 0.9])
 def test_a_particle_just_above_the_surface_adds_nothing(fill_above):
     """Fails when ``resting`` counts material in flight, or a cell that is half full or more."""
-    fraction, speed = column(1.0, 1.0, fill_above, 0.0, speed=[SLOW, SLOW, FAST, 0.0])
-    assert surface_height(fraction, speed, DX, LIMIT)[0, 0] == pytest.approx(2.0 * DX)
+    assert height_of_column(1.0, 1.0, fill_above, 0.0, flying=(2,)) == pytest.approx(2.0 * DX)
 
 
 def test_columns_are_independent_and_the_map_is_y_by_x():
@@ -52,15 +49,10 @@ def test_columns_are_independent_and_the_map_is_y_by_x():
     nz, ny, nx = 6, 3, 4
     cells = np.arange(ny * nx).reshape(ny, nx) % 5 + 0.25
     fraction = np.clip(cells - np.arange(nz)[:, None, None], 0.0, 1.0).astype(np.float32)
-    height = surface_height(fraction, np.zeros_like(fraction), DX, LIMIT)
+    height = landed_surface(fraction, np.ones(fraction.shape, dtype=bool), DX)
     expected = np.where(cells >= 0.5, cells, 0.0) * DX
     assert height.shape == (ny, nx)
     np.testing.assert_allclose(height, expected, atol=1e-12)
-
-
-def test_arrays_of_different_shape_are_refused():
-    with pytest.raises(InputError, match=r"speed \(3, 1, 1\)"):
-        surface_height(np.zeros((4, 1, 1)), np.zeros((3, 1, 1)), DX, LIMIT)
 
 
 def test_dense_height_is_volume_over_area():
@@ -88,7 +80,7 @@ def test_a_fragment_in_the_air_is_not_attached():
     assert found[3, 1, 5]
     assert not found[4, 1, 4]
     assert not found[5:].any()
-    height = surface_height(fraction, np.where(found, 0.0, 1.0), DX, 0.5)
+    height = landed_surface(fraction, found, DX)
     assert height[1, 3] == pytest.approx(3 * DX)
     assert height[1, 1] == pytest.approx(3.3 * DX)
     assert not attached_material(np.zeros((2, 2, 2)), np.ones((2, 2, 2), dtype=bool)).any()

@@ -31,6 +31,8 @@ def test_parse_gives_the_nearest_float(text, dimension, value):
     ("1e999 m", "length", ["too large"]), ("1e9999999 um", "length", ["too large", '"3 um"']),
     ("-1e9999999 degC", "temperature", ["too large"]), (f"1e-{10**20} m/s", "speed", ["out of range", '"615 m/s"']),
     (True, "length", ["expected a length"]), (None, "time", ["expected a time"]),
+    ("25 C", "temperature", ['did you mean "degC"']), ("6 Microns", "length", ['did you mean "um"']),
+    ("600 mps", "speed", ['did you mean "m/s"']), ("0,006 mm", "length", ["a point, not a comma", '"3 um"']),
     ("nan m", "length", ["not a number"]), ("3 m/", "length", ["unknown unit"]),
 ])
 def test_wrong_text_says_what_would_be_right(text, dimension, words):
@@ -73,3 +75,14 @@ def test_a_number_without_unit_is_told_what_it_may_mean_once(number):
         parse(number, "speed")
     with pytest.raises(UnitError, match=r'write for example "615 m/s" or "400 m/s"$'):
         parse(400 if number == 615 else "400", "speed")
+
+
+@pytest.mark.parametrize(("number", "dimension", "suggested"), [
+    (3e-6, "length", '"3 um" or "3e-06 m"'), (128e9, "pressure", '"128 GPa" or "128000000000.0 Pa"'),
+    (300, "temperature", '"450 degC" or "300 degC" or "300 K"'), (0, "length", '"3 um" or "0 um"'),
+    (1e9, "speed curvature", '"-6 m/s/mm2"')])
+def test_a_number_in_si_units_is_not_told_to_be_in_others(number, dimension, suggested):
+    """Fails when ``_needs_unit`` takes every number as ``likely``: "3e-06 um" for who thinks in metres."""
+    with pytest.raises(UnitError) as caught:
+        parse(number, dimension)
+    assert str(caught.value).endswith(f"needs a unit: write for example {suggested}")

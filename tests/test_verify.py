@@ -237,7 +237,7 @@ def test_wrong_names_are_one_line(arguments, said, tmp_path, capsys):
 
 
 def test_a_setting_needs_only_one_of_the_cases(tmp_path):
-    """``shear`` is no setting of heat-slab; fails when ``any`` of ``_checked`` becomes ``all``."""
+    """``shear`` is no setting of heat-slab; fails when ``any`` of ``_check_overrides`` becomes ``all``."""
     assert main(["verify", "simple-shear", "heat-slab", "--set", "shear=0.1", "--set", "resolutions=100,1000",
                  "--set", "decay=1e-6", "--out", str(tmp_path)]) == 0
 

@@ -245,11 +245,10 @@ def test_a_deposit_of_nothing_but_its_scene():
 
 def test_the_loss_of_section4_has_the_bar_of_its_cells(monkeypatch):
     """6, 4 and 3 um; coarser cells have none. Fails when a mesh is held to the bar of another."""
-    setup = SimpleNamespace(state=None, model=None, ledger=None, clock=SimpleNamespace(steps=1))
+    setup = SimpleNamespace(state=None, model=None, ledger=None, clock=SimpleNamespace(steps=1, active_cell_steps=1))
     balance = {"energy": {"time_step": 0.001, "remainder": 0.003, "brought_in": 1.0}, "numerical_loss_fraction": 0.15,
                "numerical_loss_unheated_fraction": 0.1, "mass_drift_relative": 1e-13}
     monkeypatch.setattr(deposit, "_deposited", lambda scene: (setup, 0))
-    monkeypatch.setattr(deposit, "cell_steps", lambda setup: 1)
     monkeypatch.setattr(deposit.measure, "measure_balance", lambda *_: balance)
     found = rows("section4", "resolutions=4,5,7.5,10")
     losses = [found["numerical loss", level] for level in (4.0, 5.0, 7.5, 10.0)]

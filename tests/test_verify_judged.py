@@ -28,11 +28,10 @@ def test_another_problem_has_no_published_reference(monkeypatch):
 def made_bar(monkeypatch, *shapes):
     """Let a Taylor bar have these shapes (foot radius, the same on an axis, length) at its times, the last for long."""
     left = list(shapes)
-    setup = SimpleNamespace(advance_to=lambda end: None, clock=SimpleNamespace(steps=1),
+    setup = SimpleNamespace(advance_to=lambda end: None, clock=SimpleNamespace(steps=1, active_cell_steps=1),
                             model=SimpleNamespace(dx=1e-3))
     monkeypatch.setattr(taylor, "make_bar", lambda *_: setup)
     monkeypatch.setattr(taylor, "shape", lambda _: left.pop(0) if len(left) > 1 else left[0])
-    monkeypatch.setattr(taylor, "cell_steps", lambda _: 1)
     monkeypatch.setattr(taylor.energy, "row_of", lambda _, level, cost: Measured("remainder", level, 1e-3, 0, 0, 0,
                                                                                   **cost))
 
@@ -99,10 +98,9 @@ def test_a_film_within_a_layer_of_cells_has_no_height():
 def deposited(monkeypatch, *temperatures):
     """Let the meshes of deposit-temperature end with these temperatures (degC)."""
     left = list(temperatures)
-    setup = SimpleNamespace(state=None, model=None, ledger=None, clock=SimpleNamespace(steps=1))
+    setup = SimpleNamespace(state=None, model=None, ledger=None, clock=SimpleNamespace(steps=1, active_cell_steps=1))
     balance = {"energy": dict.fromkeys(ENERGY_TERMS, 0.0) | {"brought_in": 1.0}, "numerical_loss_fraction": 0.1}
     monkeypatch.setattr(deposit, "_deposited", lambda scene: (setup, 0))
-    monkeypatch.setattr(deposit, "cell_steps", lambda setup: 1)
     monkeypatch.setattr(deposit, "deposit_temperature", lambda *_: left.pop(0))
     monkeypatch.setattr(deposit.measure, "measure_balance", lambda *_: balance)
     case = CASES["deposit-temperature"]

@@ -21,9 +21,10 @@ SMOOTHING = 0.7
 """Standard deviation (cells) of the Gaussian that takes the noise of single cells out of the map."""
 
 LEAST_PIXELS = 12
+"""A particle of fewer cells is left out."""
+
 MOST_FREE = 0.25
 """A particle is left out when more of its outline than this is free surface: nothing there tells where it ends."""
-
 
 
 @dataclass(frozen=True)

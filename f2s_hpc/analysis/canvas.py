@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from f2s_hpc.analysis.surface import HALF_FULL
 from f2s_hpc.errors import InputError
 
 DPI = 150
@@ -77,6 +78,34 @@ def colour_bar(figure: Any, image: Any, axes: Any, label: str, values: np.ndarra
                           location="top" if above else "right")
     bar.set_label(label)
     bar.outline.set_linewidth(0.6)
+
+
+def nearest_material(values: np.ndarray, material: np.ndarray) -> np.ndarray:
+    """Return ``values`` of a section with every void cell given the value of the nearest material, for the drawn edge.
+
+    ``material``: bool, of the same shape (up, along).
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    if not material.any():
+        return values
+    return values[tuple(distance_transform_edt(~material, return_distances=False, return_indices=True))]
+
+
+def draw_interface(axes: Any, fraction: np.ndarray, left: float, low: float, step: float) -> None:
+    """Cover the void of a section in white up to the interface VF = 0.5, and draw the interface.
+
+    ``fraction``: VF (up, along); ``left``, ``low``: where the section begins (um); ``step``: cell size (um).
+    """
+    material = fraction >= HALF_FULL
+    if material.all() or not material.any():
+        return
+    # one more cell all round, a copy of the outermost, so that the interface runs on to the frame
+    padded = np.pad(np.asarray(fraction, dtype=np.float64), 1, mode="edge")
+    x = left + step * (np.arange(padded.shape[1]) - 0.5)
+    z = low + step * (np.arange(padded.shape[0]) - 0.5)
+    axes.contourf(x, z, padded, levels=[-1.0, HALF_FULL], colors=["white"])
+    axes.contour(x, z, padded, levels=[HALF_FULL], colors=[INK], linewidths=0.6)
 
 
 def equal_size(shape: tuple[int, int], width: float, least: float = 1.6, most: float = 6.0) -> float:

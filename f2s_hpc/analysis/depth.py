@@ -11,6 +11,7 @@ import numpy as np
 from f2s_hpc.errors import InputError
 
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Shares of the volume at which percentiles are given."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class DepthDistribution:
     """Percentiles of a field in layers, from the lowest up.
 
     ``low``, ``high``: bounds of each layer above the substrate top (m), (n,); ``volume``: material in it (m3), (n,);
-    ``mean`` (n,); ``percentiles`` (n, len(shares)) at the volume shares ``shares``. NaN in a layer without material.
+    ``mean`` (n,); ``percentiles`` (n, len(SHARES)) at ``SHARES``. NaN in a layer without material.
     """
 
     low: np.ndarray
@@ -26,7 +27,6 @@ class DepthDistribution:
     volume: np.ndarray
     mean: np.ndarray
     percentiles: np.ndarray
-    shares: tuple[float, ...]
 
     @property
     def middle(self) -> np.ndarray:
@@ -36,7 +36,7 @@ class DepthDistribution:
     @property
     def median(self) -> np.ndarray:
         """The median of each layer, (n,)."""
-        return self.percentiles[:, self.shares.index(0.5)]
+        return self.percentiles[:, SHARES.index(0.5)]
 
 
 def weighted_percentiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> np.ndarray:
@@ -61,7 +61,7 @@ def layer_cells(layer: float, dx: float) -> int:
 
 
 def depth_distribution(field: np.ndarray, weight: np.ndarray, dx: float, substrate_height: float,
-                       layer: float = 10e-6, shares: tuple[float, ...] = SHARES) -> DepthDistribution:
+                       layer: float = 10e-6) -> DepthDistribution:
     """Return the distribution of ``field`` over the height above the substrate top, down into the substrate.
 
     ``field``: cells, (nz, ny, nx), any unit; ``weight``: volume of material in each cell over that of the cell (the
@@ -83,9 +83,9 @@ def depth_distribution(field: np.ndarray, weight: np.ndarray, dx: float, substra
         v = np.asarray(field[inside]).ravel()
         total = float(w.sum(dtype=np.float64))
         mean = float((v * w).sum(dtype=np.float64)) / total if total > 0.0 else np.nan
-        rows.append((inside.start, inside.stop, total, mean, weighted_percentiles(v, w, shares)))
+        rows.append((inside.start, inside.stop, total, mean, weighted_percentiles(v, w, SHARES)))
     filled = [n for n, row in enumerate(rows) if row[2] > 0.0]
     rows = rows[:filled[-1] + 1] if filled else rows[:0]
     low, high = (np.array([row[n] for row in rows], dtype=float) * dx - substrate_height for n in (0, 1))
     return DepthDistribution(low, high, np.array([row[2] for row in rows]) * dx**3, np.array([row[3] for row in rows]),
-                             np.array([row[4] for row in rows]).reshape(-1, len(shares)), tuple(shares))
+                             np.array([row[4] for row in rows]).reshape(-1, len(SHARES)))

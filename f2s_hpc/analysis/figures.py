@@ -13,7 +13,7 @@ from f2s_hpc.analysis.depth import DepthDistribution
 from f2s_hpc.analysis.flattening import Flattening, Regression
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import mean_line
-from f2s_hpc.units import count_text
+from f2s_hpc.units import ZERO_CELSIUS, count_text
 
 LEAST_FILL = 0.03
 HEIGHT_SHARES = (2.0, 98.0)
@@ -25,12 +25,12 @@ FIELD_LABELS = {"peeq": "PEEQ", "temperature": "temperature (°C)", "von_mises":
 def shown(name: str, values: np.ndarray) -> np.ndarray:
     """Return a field in the unit of its label: degC and MPa."""
     if name == "temperature":
-        return values - 273.15
+        return values - ZERO_CELSIUS
     return 1e-6 * values if name == "von_mises" else values
 
 
 def height_map(path: str | os.PathLike, surface: np.ndarray, dx: float, ground: float,
-               bounds: tuple[float, float] | None = None, title: str = "") -> None:
+               bounds: tuple[float, float] | None = None) -> None:
     """Draw the height above the substrate top, seen from above; ``bounds`` (um) are the colour limits.
 
     ``surface``: heights above the bottom of the box (m), (ny, nx); ``dx``, ``ground`` in m.
@@ -42,7 +42,7 @@ def height_map(path: str | os.PathLike, surface: np.ndarray, dx: float, ground: 
         axes = figure.add_subplot()
         image = axes.imshow(height, origin="lower", cmap="cividis", vmin=bounds[0], vmax=bounds[1],
                             extent=(0.0, surface.shape[1] * dx * MICRO, 0.0, surface.shape[0] * dx * MICRO))
-        axes.set(xlabel="x (µm)", ylabel="y (µm)", title=title)
+        axes.set(xlabel="x (µm)", ylabel="y (µm)")
         look.colour_bar(figure, image, axes, "height above substrate (µm)", height, bounds)
 
 

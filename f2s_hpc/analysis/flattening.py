@@ -16,6 +16,9 @@ from f2s_hpc.errors import InputError
 LEAST_POINTS = 10
 """A particle with fewer material points has no shape."""
 
+LEVEL = 0.9
+"""Confidence level of all bands and intervals, as in Fig. 17."""
+
 
 @dataclass(frozen=True)
 class Flattening:
@@ -45,14 +48,13 @@ class Regression:
     """Line y = ``intercept`` + ``slope`` x through points, and half widths of its bands.
 
     ``slope_error``: standard error; ``residual``: standard deviation of the points about the line (n - 2);
-    ``level``: of the bands; ``n``: number of points; ``centre``, ``spread``: mean of x and sum of (x - mean)^2.
+    ``n``: number of points; ``centre``, ``spread``: mean of x and sum of (x - mean)^2.
     """
 
     slope: float
     intercept: float
     slope_error: float
     residual: float
-    level: float
     n: int
     centre: float
     spread: float
@@ -62,28 +64,27 @@ class Regression:
         return self.intercept + self.slope * np.asarray(x)
 
     def confidence(self, x: np.ndarray) -> np.ndarray:
-        """Return the half width of the band that holds the true line at ``x`` with probability ``level``."""
+        """Return the half width of the band that holds the true line at ``x`` with probability ``LEVEL``."""
         return self._half_width(x, 0.0)
 
     def prediction(self, x: np.ndarray) -> np.ndarray:
-        """Return the half width of the band that holds a further particle at ``x`` with probability ``level``."""
+        """Return the half width of the band that holds a further particle at ``x`` with probability ``LEVEL``."""
         return self._half_width(x, 1.0)
 
     def _half_width(self, x: np.ndarray, own: float) -> np.ndarray:
-        quantile = stats.t.ppf(0.5 + 0.5 * self.level, self.n - 2)
+        quantile = stats.t.ppf(0.5 + 0.5 * LEVEL, self.n - 2)
         return quantile * self.residual * np.sqrt(own + 1.0 / self.n + (np.asarray(x) - self.centre) ** 2 / self.spread)
 
 
 @dataclass(frozen=True)
 class MeanDifference:
-    """Difference of two means with its interval: ``difference`` (second less first), ``low``, ``high`` at ``level``."""
+    """Difference of two means with its interval: ``difference`` (second less first), ``low``, ``high`` at ``LEVEL``."""
 
     first: float
     second: float
     difference: float
     low: float
     high: float
-    level: float
 
     @property
     def decided(self) -> bool:
@@ -136,8 +137,8 @@ def flattening_from_points(particle_index: np.ndarray, position: np.ndarray, dia
     return flattening_from_sizes(width, np.where(height > 0.0, height, np.nan), diameter)
 
 
-def regression(x: np.ndarray, y: np.ndarray, level: float = 0.9) -> Regression | None:
-    """Return the line through the finite points (x, y) with bands at ``level``, as Fig. 17; None for fewer than four.
+def regression(x: np.ndarray, y: np.ndarray) -> Regression | None:
+    """Return the line through the finite points (x, y) with bands at ``LEVEL``; None for fewer than four.
 
     Ordinary least squares; the bands follow Student's t with n - 2 degrees of freedom.
     """
@@ -149,11 +150,11 @@ def regression(x: np.ndarray, y: np.ndarray, level: float = 0.9) -> Regression |
     fit = stats.linregress(x, y)
     residue = y - fit.intercept - fit.slope * x
     return Regression(float(fit.slope), float(fit.intercept), float(fit.stderr),
-                      float(np.sqrt((residue**2).sum() / (x.size - 2))), level, x.size, float(x.mean()),
+                      float(np.sqrt((residue**2).sum() / (x.size - 2))), x.size, float(x.mean()),
                       float(((x - x.mean()) ** 2).sum()))
 
 
-def mean_difference(first: np.ndarray, second: np.ndarray, level: float = 0.9) -> MeanDifference | None:
+def mean_difference(first: np.ndarray, second: np.ndarray) -> MeanDifference | None:
     """Return the difference of the means of two samples with its interval (Welch's t); None below two values each.
 
     Not-a-numbers are left out.
@@ -162,6 +163,6 @@ def mean_difference(first: np.ndarray, second: np.ndarray, level: float = 0.9) -
     if min(first.size, second.size) < 2 or first.var() + second.var() == 0.0:
         return None
     test = stats.ttest_ind(second, first, equal_var=False)
-    interval = test.confidence_interval(level)
+    interval = test.confidence_interval(LEVEL)
     return MeanDifference(float(first.mean()), float(second.mean()), float(second.mean() - first.mean()),
-                          float(interval.low), float(interval.high), level)
+                          float(interval.low), float(interval.high))

@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from f2s_hpc.analysis.canvas import save
+from f2s_hpc.analysis.canvas import INK, MICRO, draw_interface, nearest_material, save
 from f2s_hpc.analysis.surface import HALF_FULL, attached_material, landed_surface
 from f2s_hpc.errors import InputError
+from f2s_hpc.units import ZERO_CELSIUS
 
 NEEDED = ("volume_fraction", "peeq", "temperature", "speed")
 SLOW_SPEED = 50.0
 """m/s; what is faster than this is taken to be in flight, unless the caller knows better."""
 
-_ZERO_CELSIUS = 273.15
-_MICRO = 1e6
 _DPI = 160
 _WIDTH, _NARROWEST = 10.0, 8.0
 _HEIGHTS = (6.6, 8.2)
@@ -32,7 +31,7 @@ _LEFT, _RIGHT, _BELOW, _ABOVE, _ABOVE_WIDE = 0.62, 0.16, 0.52, 0.66, 0.42
 _WIDE = 4.6
 _ARRANGEMENTS = (((0,), (1,), (2,)), ((0, 1), (2,)), ((0, 1, 2),))
 _BAR, _BAR_GAP, _BAR_WIDE = 0.11, 0.07, 2.8
-_INK, _GREY = "#1a1a1a", "#555555"
+_GREY = "#555555"
 
 
 @dataclass(frozen=True)
@@ -92,14 +91,14 @@ def draw(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float, t
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update({
-            "font.size": 9.0, "axes.linewidth": 0.7, "axes.edgecolor": _INK, "axes.labelcolor": _INK,
-            "xtick.color": _INK, "ytick.color": _INK, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0,
+            "font.size": 9.0, "axes.linewidth": 0.7, "axes.edgecolor": INK, "axes.labelcolor": INK,
+            "xtick.color": INK, "ytick.color": INK, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0,
             "xtick.direction": "out", "ytick.direction": "out", "xtick.major.size": 3.0, "ytick.major.size": 3.0,
             "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.unicode_minus": True})
         figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
         _write_head(figure, title, subtitle)
         fraction = section.cut(fields["volume_fraction"])
-        peeq, celsius = section.cut(fields["peeq"]), section.cut(fields["temperature"]) - _ZERO_CELSIUS
+        peeq, celsius = section.cut(fields["peeq"]), section.cut(fields["temperature"]) - ZERO_CELSIUS
         _draw_section(figure, panels[0], section, fraction, peeq, dx, substrate_height,
                       ("(a) Equivalent plastic strain", "(a) PEEQ", "viridis"))
         _draw_section(figure, panels[1], section, fraction, celsius, dx, substrate_height,
@@ -221,38 +220,21 @@ def _limits(values: np.ndarray, least: float) -> tuple[float, float]:
     return (low, high) if high - low >= least else (low, low + least)
 
 
-def _nearest_material(values: np.ndarray, material: np.ndarray) -> np.ndarray:
-    """Return ``values`` with every void cell given the value of the nearest material cell, for the drawn edge."""
-    from scipy.ndimage import distance_transform_edt
-
-    if not material.any():
-        return values
-    where = distance_transform_edt(~material, return_distances=False, return_indices=True)
-    return values[tuple(where)]
-
-
 def _draw_section(figure: Any, panel: Panel, section: Section, fraction: np.ndarray, values: np.ndarray, dx: float,
                   substrate_height: float, look: tuple[str, str, str]) -> None:
     """Draw ``values`` (up, along) inside the interface VF = 0.5, and its colour bar; z from the substrate top."""
     material = fraction >= HALF_FULL
     limits = _limits(values[material], 1e-3)
     axes = _axes(figure, panel)
-    left, right = section.along.start * dx * _MICRO, section.along.stop * dx * _MICRO
-    low, high = ((n * dx - substrate_height) * _MICRO for n in (section.up.start, section.up.stop))
-    image = axes.imshow(_nearest_material(values, material), origin="lower", extent=(left, right, low, high),
+    left, right = section.along.start * dx * MICRO, section.along.stop * dx * MICRO
+    low, high = ((n * dx - substrate_height) * MICRO for n in (section.up.start, section.up.stop))
+    image = axes.imshow(nearest_material(values, material), origin="lower", extent=(left, right, low, high),
                         cmap=look[2], vmin=limits[0], vmax=limits[1], interpolation="nearest", aspect="auto")
-    # one more cell all round, a copy of the outermost, so that the interface runs on to the frame
-    padded = np.pad(np.asarray(fraction, dtype=np.float64), 1, mode="edge")
-    step = dx * _MICRO
-    x = left + step * (np.arange(padded.shape[1]) - 0.5)
-    z = low + step * (np.arange(padded.shape[0]) - 0.5)
-    if material.any() and not material.all():
-        axes.contourf(x, z, padded, levels=[-1.0, HALF_FULL], colors=["white"])
-        axes.contour(x, z, padded, levels=[HALF_FULL], colors=[_INK], linewidths=0.6)
-    elif not material.any():
+    draw_interface(axes, fraction, left, low, dx * MICRO)
+    if not material.any():
         image.set_visible(False)
     axes.axhline(0.0, color="white", linewidth=1.8, alpha=0.8)
-    axes.axhline(0.0, color=_INK, linewidth=0.9, linestyle=(0, (5, 3)))
+    axes.axhline(0.0, color=INK, linewidth=0.9, linestyle=(0, (5, 3)))
     axes.set_xlim(left, right)
     axes.set_ylim(low, high)
     axes.set_xlabel(f"${section.axis}$ (µm)", labelpad=2)
@@ -267,18 +249,18 @@ def _draw_map(figure: Any, panel: Panel, section: Section, surface: np.ndarray, 
     """Draw the surface height above the substrate top, seen from above, and where the section lies."""
     across = "y" if section.axis == "x" else "x"
     covered = surface > 0.0
-    height = np.ma.masked_array((surface - substrate_height) * _MICRO, mask=~covered)
+    height = np.ma.masked_array((surface - substrate_height) * MICRO, mask=~covered)
     if section.axis == "y":
         height = height.T
     axes = _axes(figure, panel)
     limits = _limits(height.compressed(), 0.5)
-    length, width = (n * dx * _MICRO for n in height.shape[::-1])
+    length, width = (n * dx * MICRO for n in height.shape[::-1])
     image = axes.imshow(height, origin="lower", extent=(0.0, length, 0.0, width), cmap="cividis", vmin=limits[0],
                         vmax=limits[1], interpolation="nearest", aspect="auto")
-    ends = [section.along.start * dx * _MICRO, section.along.stop * dx * _MICRO]
-    plane = [(section.index + 0.5) * dx * _MICRO] * 2
+    ends = [section.along.start * dx * MICRO, section.along.stop * dx * MICRO]
+    plane = [(section.index + 0.5) * dx * MICRO] * 2
     axes.plot(ends, plane, color="white", linewidth=2.0, alpha=0.8, solid_capstyle="butt")
-    axes.plot(ends, plane, color=_INK, linewidth=1.0, linestyle=(0, (6, 2, 1, 2)))
+    axes.plot(ends, plane, color=INK, linewidth=1.0, linestyle=(0, (6, 2, 1, 2)))
     axes.set_xlim(0.0, length)
     axes.set_ylim(0.0, width)
     axes.set_xlabel(f"${section.axis}$ (µm)", labelpad=2)
@@ -308,7 +290,7 @@ def _colour_bar(figure: Any, panel: Panel, image: Any, label: str, values: np.nd
     bar.ax.tick_params(pad=1, length=2.5)
     _ticks(bar.ax.xaxis, 1.25 * long)
     name_at = bottom + _BAR + (0.0 if wide else 0.26)
-    figure.text(panel.left / width, (top + 0.09 if wide else name_at) / height, label, fontsize=9.5, color=_INK,
+    figure.text(panel.left / width, (top + 0.09 if wide else name_at) / height, label, fontsize=9.5, color=INK,
                 va="bottom", ha="left")
 
 
@@ -316,7 +298,7 @@ def _write_head(figure: Any, title: str, subtitle: str) -> None:
     """Write the title and the subtitle, each cut to one line."""
     width, height = figure.get_size_inches()
     left = _MARGIN + 0.05
-    for text, size, weight, colour, down in ((title, 12.5, "bold", _INK, 0.2), (subtitle, 9.5, "normal", _GREY, 0.47)):
+    for text, size, weight, colour, down in ((title, 12.5, "bold", INK, 0.2), (subtitle, 9.5, "normal", _GREY, 0.47)):
         letters = int((width - 2 * left) * 72 / (size * (0.66 if weight == "bold" else 0.58)))
         figure.text(left / width, 1.0 - down / height, textwrap.shorten(text, letters, placeholder=" ..."),
                     fontsize=size, fontweight=weight, color=colour, va="center", ha="left", parse_math=False)
@@ -327,11 +309,11 @@ def _write_legend(figure: Any, section: Section, dx: float) -> None:
     from matplotlib.lines import Line2D
 
     across = "y" if section.axis == "x" else "x"
-    plane = f"{(section.index + 0.5) * dx * _MICRO:.4g}"
-    lines = [Line2D([], [], color=_INK, linewidth=0.8, label="interface, volume fraction 0.5"),
-             Line2D([], [], color=_INK, linewidth=0.9, linestyle=(0, (5, 3)), label="substrate top, $z$ = 0"),
-             Line2D([], [], color=_INK, linewidth=1.0, linestyle=(0, (6, 2, 1, 2)),
+    plane = f"{(section.index + 0.5) * dx * MICRO:.4g}"
+    lines = [Line2D([], [], color=INK, linewidth=0.8, label="interface, volume fraction 0.5"),
+             Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (5, 3)), label="substrate top, $z$ = 0"),
+             Line2D([], [], color=INK, linewidth=1.0, linestyle=(0, (6, 2, 1, 2)),
                     label=f"plane of the sections (a) and (b), ${across}$ = {plane} µm")]
     height = figure.get_size_inches()[1]
     figure.legend(handles=lines, loc="center", bbox_to_anchor=(0.5, 0.5 * _FOOT / height), ncols=3, frameon=False,
-                  fontsize=8.5, handlelength=2.8, labelcolor=_INK)
+                  fontsize=8.5, handlelength=2.8, labelcolor=INK)

@@ -57,7 +57,7 @@ class Overlap:
 def heights(surface: np.ndarray, dense: float, substrate_height: float) -> dict[str, float]:
     """Return every usual height of a deposit (m, above the substrate top).
 
-    ``surface``: heights from the bottom of the box (m), (ny, nx), as ``surface.surface_height`` returns; ``dense``:
+    ``surface``: heights from the bottom of the box (m), (ny, nx), as ``surface.landed_surface`` returns; ``dense``:
     the dense-equivalent height (``surface.dense_height``); ``substrate_height`` (m).
     Keys: dense, mean, median, p95, maximum. Raises ``InputError`` when ``surface`` is not two-dimensional.
     """

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from f2s_hpc.analysis import canvas as look
 from f2s_hpc.analysis.boundaries import SectionParticles
@@ -60,8 +59,9 @@ def section_fields(path: str | os.PathLike, fraction: np.ndarray, fields: Mappin
         for axes, (name, field) in zip(panels, fields.items()):
             values = shown(name, field.astype(float))
             limits = (bounds or {}).get(name) or look.limits([values[material]])
-            image = axes.imshow(_spread(values, material), origin="lower", extent=frame.extent(fraction.shape),
-                                cmap=look.SECTION_COLOURS[name], vmin=limits[0], vmax=limits[1])
+            image = axes.imshow(look.nearest_material(values, material), origin="lower",
+                                extent=frame.extent(fraction.shape), cmap=look.SECTION_COLOURS[name], vmin=limits[0],
+                                vmax=limits[1])
             _interface(axes, fraction, frame)
             look.colour_bar(figure, image, axes, FIELD_LABELS[name], values[material], limits, beside)
         for axes in panels if beside else panels[-1:]:
@@ -79,8 +79,8 @@ def particle_boundaries(path: str | os.PathLike, fraction: np.ndarray, peeq: np.
     with canvas(path, wide, tall + 0.95) as figure:
         axes = figure.add_subplot()
         grey = _equalised(peeq, material, round(-frame.low / frame.dx))
-        axes.imshow(_spread(grey, material), origin="lower", extent=frame.extent(fraction.shape), cmap="gray", vmin=0.0,
-                    vmax=1.0)
+        axes.imshow(look.nearest_material(grey, material), origin="lower", extent=frame.extent(fraction.shape),
+                    cmap="gray", vmin=0.0, vmax=1.0)
         _overlay(axes, found.boundaries, look.SERIES[1], frame, 0.9)
         measured = found.labels > 0
         _overlay(axes, measured, look.SERIES[0], frame, 0.35)
@@ -139,24 +139,10 @@ def _equalised(values: np.ndarray, material: np.ndarray, ground: int) -> np.ndar
     return np.searchsorted(inside, values, side="right") / max(inside.size, 1)
 
 
-def _spread(values: np.ndarray, material: np.ndarray) -> np.ndarray:
-    """Return ``values`` with every void cell given the value of the nearest material, for the drawn edge."""
-    if not material.any():
-        return values
-    return values[tuple(distance_transform_edt(~material, return_distances=False, return_indices=True))]
-
-
 def _interface(axes: Any, fraction: np.ndarray, frame: Frame) -> None:
     """Cover the void in white up to the interface VF = 0.5, draw it, and the substrate top."""
     left, right, low, high = frame.extent(fraction.shape)
-    step = frame.dx * MICRO
-    # one more cell all round, so that the interface runs on to the frame
-    padded = np.pad(fraction.astype(float), 1, mode="edge")
-    x = left + step * (np.arange(padded.shape[1]) - 0.5)
-    z = low + step * (np.arange(padded.shape[0]) - 0.5)
-    if (fraction >= HALF_FULL).any() and (fraction < HALF_FULL).any():
-        axes.contourf(x, z, padded, levels=[-1.0, HALF_FULL], colors=["white"])
-        axes.contour(x, z, padded, levels=[HALF_FULL], colors=[look.INK], linewidths=0.6)
+    look.draw_interface(axes, fraction, left, low, frame.dx * MICRO)
     axes.axhline(0.0, color="white", linewidth=1.6, alpha=0.7)
     axes.axhline(0.0, color=look.INK, linewidth=0.8, linestyle=(0, (5, 3)))
     axes.set(xlim=(left, right), ylim=(low, high))

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from f2s_hpc.analysis.canvas import save
+from f2s_hpc.analysis.canvas import DPI, INK, save
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.sizes import PERCENTILES
 from f2s_hpc.particles.stream import NumberFit, PolynomialFit, StreamFit
 
-_INK, _GREY, _POINT, _CURVE = "#1a1a1a", "#555555", "#7a9cc6", "#b3331d"
-_DPI = 150
+_GREY, _POINT, _CURVE = "#555555", "#7a9cc6", "#b3331d"
 _CURVE_POINTS = 201
 _HEAD = ("fit", "coefficient", "value", "standard error", "unit", "R2", "90 % band")
 
@@ -56,7 +56,7 @@ def format_stream(fit: StreamFit) -> str:
     at = ", ".join(f"{float(fit.size.at(d)):.1f} m/s at {1e6 * d:.1f} um" for d in (low, high))
     first = (f"{measured.name}: {measured.count} particles, diameters {1e6 * low:.1f} to {1e6 * high:.1f} um, "
              f"velocities {measured.velocity.min():.1f} to {measured.velocity.max():.1f} m/s")
-    lines = [first, "", *_aligned(_HEAD, rows), "",
+    lines = [first, "", *aligned([_HEAD, *rows], left=(0, 1, 4, 5, 6), rule=True), "",
              f"velocity by the line over the diameter: {at}",
              f"diameter and squared distance from the axis: correlation {fit.mixing:.3f} (at 0 both laws add)",
              "bands: 90 % prediction bands, half width in the middle of the range, of the number on the axis"
@@ -73,17 +73,6 @@ def _rows(labels: tuple[str, str], fit: PolynomialFit, terms: Sequence[tuple[str
         rows.append((label, name, f"{scale * fit.coefficients[index]:.5g}", f"{scale * fit.errors[index]:.2g}", unit,
                      *first))
     return rows
-
-
-def _aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[c]) for row in (head, *rows)) for c in range(len(head))]
-    right = (2, 3)
-
-    def line(row: Sequence[str]) -> str:
-        return "  ".join(text.rjust(w) if c in right else text.ljust(w)
-                         for c, (text, w) in enumerate(zip(row, widths))).rstrip()
-
-    return [line(head), "  ".join("-" * w for w in widths), *map(line, rows)]
 
 
 def draw_stream(fit: StreamFit, path: str | os.PathLike) -> None:
@@ -112,7 +101,7 @@ def draw_stream(fit: StreamFit, path: str | os.PathLike) -> None:
                           ("(d) Lateral velocity over lateral position", "lateral position (mm)",
                            "lateral velocity (m/s)"))
         figure.suptitle(f"{measured.name}: {measured.count} particles; curves with 90 % prediction bands",
-                        x=0.01, ha="left", fontsize=10, color=_INK)
+                        x=0.01, ha="left", fontsize=10, color=INK)
         save(figure, pathlib.Path(path), "plot")
 
 
@@ -161,7 +150,7 @@ def _draw_curve(axes: Any, x: np.ndarray, y: np.ndarray, band: np.ndarray) -> No
 
 
 def _label(axes: Any, title: str, across: str, up: str) -> None:
-    axes.set_title(title, fontsize=9, color=_INK, loc="left")
+    axes.set_title(title, fontsize=9, color=INK, loc="left")
     axes.set_xlabel(across)
     axes.set_ylabel(up)
     for side in ("top", "right"):
@@ -171,11 +160,11 @@ def _label(axes: Any, title: str, across: str, up: str) -> None:
 def _plain_style() -> Any:
     """Return a context in which the user's own matplotlib settings do not reach the picture."""
     import matplotlib as mpl
-    return mpl.rc_context(mpl.rcParamsDefault | {"font.size": 8.5, "axes.labelcolor": _INK, "xtick.color": _INK,
-                                                 "ytick.color": _INK, "axes.edgecolor": _INK})
+    return mpl.rc_context(mpl.rcParamsDefault | {"font.size": 8.5, "axes.labelcolor": INK, "xtick.color": INK,
+                                                 "ytick.color": INK, "axes.edgecolor": INK})
 
 
 def _figure(size: tuple[float, float], rows: int, columns: int) -> tuple[Any, Any]:
     from matplotlib.figure import Figure
-    figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
+    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from f2s_hpc.errors import InputError
-
 HALF_FULL = 0.5
 """A cell with at least this volume fraction is material; the interface lies where it is reached."""
 
@@ -15,18 +13,6 @@ LANDED = 1.0 / 3.0
 Above what light cells of a resting surface ring with (up to 0.2 with 4 cells per diameter) and rims still rise with;
 below what cells cut by the surface of a sphere in flight have (0.5: half of their nodes are at rest).
 """
-
-
-def surface_height(volume_fraction: np.ndarray, speed: np.ndarray, dx: float, slow_speed: float) -> np.ndarray:
-    """Return :func:`landed_surface` where all that is slower than ``slow_speed`` has landed.
-
-    ``volume_fraction``, ``speed`` (m/s): cells, (nz, ny, nx); ``dx``: cell size (m); ``slow_speed`` (m/s).
-    Raises ``InputError`` when the two arrays differ in shape or are not three-dimensional.
-    """
-    if volume_fraction.ndim != 3 or volume_fraction.shape != speed.shape:
-        raise InputError(f"surface height: volume_fraction has shape {volume_fraction.shape}, speed {speed.shape}; "
-                         "both must be (nz, ny, nx)")
-    return landed_surface(volume_fraction, speed < slow_speed, dx)
 
 
 def landed_surface(volume_fraction: np.ndarray, landed: np.ndarray, dx: float) -> np.ndarray:

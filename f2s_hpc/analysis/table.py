@@ -1,8 +1,8 @@
-"""The cycle table as text for a terminal of 160 columns."""
+"""Tables as text: aligned columns, and the cycle table for a terminal of 160 columns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 from f2s_hpc.errors import InputError
@@ -53,6 +53,19 @@ COLUMNS: tuple[Column, ...] = (
 TABLE_KEY = ("dense: height of all mass in the box, without pores and at no pressure; 'f2s analyse' has that by volume "
              "fraction")
 """What the table means where another one of the same name is about."""
+
+
+def aligned(lines: Sequence[Sequence[str]], left: Container[int] = (), rule: bool = False) -> list[str]:
+    """Return ``lines`` of cells, the first of them the head, as text whose columns are two blanks apart.
+
+    The columns ``left`` are aligned to the left, the others to the right; ``rule``: with a line under the head.
+    """
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    told = ["  ".join(cell.ljust(width) if c in left else cell.rjust(width)
+                      for c, (cell, width) in enumerate(zip(line, widths))).rstrip() for line in lines]
+    if rule:
+        told.insert(1, "  ".join("-" * width for width in widths))
+    return told
 
 
 def format_table(rows: Sequence[Mapping[str, str | float | None]]) -> str:

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.units import count_text
 
 _HEAD = ("quantity", "cells", "dx", "value", "reference", "error", "order", "bar", "verdict", "steps", "cell-steps",
@@ -97,12 +98,6 @@ def _scientific(number: float) -> str:
 
 
 def _aligned(head: Sequence[str], lines: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    """Return head, rule and lines with columns aligned; those in ``left`` to the left, the rest to the right."""
+    """Return head, rule and lines, with cells that are too long cut short."""
     lines = [[textwrap.shorten(cell, 2 * _WIDEST, placeholder=" ...") for cell in line] for line in lines]
-    widths = [max(len(text), *(len(line[c]) for line in lines)) if lines else len(text) for c, text in enumerate(head)]
-
-    def line_of(texts: Sequence[str]) -> str:
-        return "  ".join(text.ljust(width) if c in left else text.rjust(width)
-                         for c, (text, width) in enumerate(zip(texts, widths))).rstrip()
-
-    return "\n".join([line_of(head), "  ".join("-" * width for width in widths), *(line_of(line) for line in lines)])
+    return "\n".join(aligned([head, *lines], left, rule=True))

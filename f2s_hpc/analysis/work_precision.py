@@ -8,10 +8,9 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from f2s_hpc.analysis.canvas import save
+from f2s_hpc.analysis.canvas import GREY, INK, save
 
 _DPI = 160
-_INK, _GREY = "#1a1a1a", "#666666"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555", "#b8a800")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 _MOST_CURVES = len(_COLOURS)
@@ -56,12 +55,12 @@ def draw_case(rows: Rows, path: pathlib.Path, title: str, subtitle: str) -> bool
         marks = sorted({p[across] for points in lines.values() for p in points})
         axes.set_xticks(marks, labels=[f"{mark:g}" for mark in marks])
     axes.set_xlabel("wall time (s)" if across == "wall_s" else "resolution (cells, or what the case's text says)",
-                    color=_INK)
-    axes.set_ylabel(up, color=_INK)
+                    color=INK)
+    axes.set_ylabel(up, color=INK)
     figure.legend(*axes.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.665, 0.845), frameon=False,
-                  fontsize=8.5, labelcolor=_INK, handlelength=1.8)
-    figure.text(0.02, 0.965, title, fontsize=12, fontweight="bold", color=_INK, va="top", parse_math=False)
-    figure.text(0.02, 0.905, textwrap.shorten(subtitle, 105, placeholder=" ..."), fontsize=8.5, color=_GREY, va="top",
+                  fontsize=8.5, labelcolor=INK, handlelength=1.8)
+    figure.text(0.02, 0.965, title, fontsize=12, fontweight="bold", color=INK, va="top", parse_math=False)
+    figure.text(0.02, 0.905, textwrap.shorten(subtitle, 105, placeholder=" ..."), fontsize=8.5, color=GREY, va="top",
                 parse_math=False)
     save(figure, path, "plot")
     return True
@@ -101,30 +100,27 @@ def draw_overview(rows: Rows, path: pathlib.Path) -> bool:
     grid = figure.subplots(count, columns, squeeze=False)
     for axes, (case, lines) in zip(grid.flat, cases.items()):
         _draw(axes, lines, marks=False)
-        axes.set_title(case, fontsize=10, fontweight="bold", color=_INK, loc="left", pad=4)
+        axes.set_title(case, fontsize=10, fontweight="bold", color=INK, loc="left", pad=4)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="best", fontsize=6.5, frameon=True, framealpha=0.8, edgecolor="none", labelcolor=_INK,
+            axes.legend(loc="best", fontsize=6.5, frameon=True, framealpha=0.8, edgecolor="none", labelcolor=INK,
                         handlelength=1.4, borderpad=0.2, labelspacing=0.25)
     for axes in list(grid.flat)[len(cases):]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel("error", color=_INK, fontsize=9)
+        axes.set_ylabel("error", color=INK, fontsize=9)
     for column in range(columns):
         last = max(r for r in range(count) if r * columns + column < len(cases))
-        grid[last, column].set_xlabel("wall time (s)", color=_INK, fontsize=9)
-    figure.suptitle("Error against wall time", x=0.01, ha="left", fontsize=12, fontweight="bold", color=_INK)
+        grid[last, column].set_xlabel("wall time (s)", color=INK, fontsize=9)
+    figure.suptitle("Error against wall time", x=0.01, ha="left", fontsize=12, fontweight="bold", color=INK)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985), h_pad=1.2, w_pad=1.0)
     save(figure, path, "plot")
     return True
 
 
 def _figure(size: tuple[float, float]) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=size, dpi=_DPI, facecolor="white")
 
 
 def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool, across: str = "wall_s",
@@ -147,7 +143,7 @@ def _draw(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], marks: bool, 
         highest = max(shown.values(), key=lambda points: points[-1]["error"])
         for p in highest:
             axes.annotate(f"{p['resolution']:g}", (p["wall_s"], p["error"]), xytext=(0, 6),
-                          textcoords="offset points", fontsize=7.5, color=_GREY, ha="center")
+                          textcoords="offset points", fontsize=7.5, color=GREY, ha="center")
     _dress(axes)
 
 
@@ -157,7 +153,7 @@ def _draw_bars(axes: Any, lines: Mapping[str, list[Mapping[str, Any]]], across: 
     asked = [(p[across], p["bar"]) for points in lines.values() for p in points if p["bar"]]
     if not asked:
         return
-    style = {"color": _INK, "linewidth": 1.0, "label": "bar", "zorder": 2}
+    style = {"color": INK, "linewidth": 1.0, "label": "bar", "zorder": 2}
     if len(set(bars)) == 1:
         axes.axhline(bars[0], linestyle=(0, (1, 2)), **style)
     else:
@@ -175,6 +171,6 @@ def _dress(axes: Any) -> None:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if value >= 1e-3 else f"{value:.0e}"))
         axis.set_minor_formatter(NullFormatter())
     axes.grid(True, which="major", color="#dddddd", linewidth=0.6)
-    axes.tick_params(labelsize=8, colors=_INK, which="both")
+    axes.tick_params(labelsize=8, colors=INK, which="both")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

@@ -19,9 +19,7 @@ from f2s_hpc.bench.hook import hooked
 
 def count(path: str) -> dict[str, dict]:
     """Return the steps of the patch in the file ``path`` up to its next remap, and the tally of each kernel."""
-    with np.load(path) as file:
-        saved = {name: file[name] for name in file.files}
-    setup = states.tiled(saved, states.model_of(), (1, 1))
+    setup = states.tiled(states.load(path), states.default_model(), (1, 1))
     counting.stand_in_for_libraries()
     counter = counting.Counter(setup.state.pool.memory, setup.state.active_cells())
     with hooked(counter.wrap), np.errstate(all="ignore"):

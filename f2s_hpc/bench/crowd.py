@@ -65,9 +65,7 @@ def crowd(saved: dict[str, np.ndarray], scene: Scene) -> Iterator[None]:
 
 def step_on(patch: str, scene: str) -> None:
     """Step the patch until standard input ends."""
-    with np.load(patch) as file:
-        saved = {name: file[name] for name in file.files}
-    model, setup = states.model_for(load_scene(scene, [])), None
+    saved, model, setup = states.load(patch), states.model_for(load_scene(scene, [])), None
     for remap in itertools.count():
         if remap % REMAPS == 0:
             # it comes to rest, and steps at rest take less

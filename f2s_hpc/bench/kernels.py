@@ -172,7 +172,7 @@ def run(names: Sequence[str], sizes: Sequence[str], counted: bool = True, say=pr
     say(f"one core of {mpi.size()} at work: triad {1e-9 * machine.bandwidth:.1f} GB/s (3 x 96 MB, 32 bytes per "
         f"element), fused multiply-adds {1e-9 * machine.peak:.1f} GF/s")
     rows: list[Row] = []
-    model = states.model_of()
+    model = states.default_model()
     for name in names:
         saved = states.save(states.STATES[name](model))
         work = count_work(name, saved) if counted else None

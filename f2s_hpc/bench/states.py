@@ -14,6 +14,7 @@ from f2s_hpc import mpi
 from f2s_hpc.build import build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.cycles.insert import paint_batch
 from f2s_hpc.fields import BY_NAME, CELL
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.plan import make_batches
@@ -82,8 +83,6 @@ def filled(model: Model) -> Setup:
 
 def deposit(model: Model) -> Setup:
     """Return the patch after a batch has landed and while the next one hits it."""
-    from f2s_hpc.cycles.insert import paint_batch
-
     first, second = _batches()
     setup = make_setup(PATCH, model, _spheres(first, SUBSTRATE), (0.0, 0.0, -SPEED), 723.15, SUBSTRATE)
     setup.advance_to(LANDED)
@@ -107,14 +106,14 @@ def flying(model: Model, spheres: Sequence[tuple[float, float, float, float]] | 
 STATES: dict[str, Callable[[Model], Setup]] = {"filled": filled, "deposit": deposit, "flying": flying}
 
 
-def model_of(material: str = "copper-ge") -> Model:
-    """Return the material and the default settings at the patch's cell size."""
-    return make_model(CELL_SIZE, material, SPEED)
+def default_model() -> Model:
+    """Return cold-sprayed copper and the default settings at the patch's cell size."""
+    return make_model(CELL_SIZE, "copper-ge", SPEED)
 
 
 def model_for(scene: Scene) -> Model:
     """Return the material and settings of ``scene`` at the patch's cell size and speed."""
-    model, own = build_model(scene), model_of()
+    model, own = build_model(scene), default_model()
     settings = model.settings._replace(speed_cap=own.settings.speed_cap, speed_limit=own.settings.speed_limit)
     return model._replace(dx=CELL_SIZE, settings=settings, energy_quantum=own.energy_quantum)
 
@@ -130,6 +129,12 @@ def save(setup: Setup) -> dict[str, np.ndarray]:
             whole[z:z + block.shape[0], y:y + block.shape[1], x:x + block.shape[2]] = block
         saved[name] = whole
     return saved
+
+
+def load(path: str) -> dict[str, np.ndarray]:
+    """Return what :func:`save` returned, from the file ``path`` (npz)."""
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
 
 
 def _mirrored(patch: np.ndarray, part_slices: tuple[tuple[int, int], ...], signs: tuple[int, int, int],

@@ -6,6 +6,7 @@ import argparse
 import io
 import pathlib
 import sys
+from collections.abc import Sequence
 from typing import NoReturn, TextIO
 
 from f2s_hpc import one_rank, places
@@ -18,6 +19,14 @@ SIGPIPE_CODE = 128 + 13
 
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, and that speaks on rank 0 only."""
+
+    def parse_known_args(self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None):
+        """Parse as ever, but let the command itself, not ``f2s``, tell of a word that it does not know."""
+        parsed, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            spaces = "; write KEY=VALUE without spaces around =" if unknown[0].startswith("=") else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{spaces}")
+        return parsed, unknown
 
     def error(self, message: str) -> NoReturn:
         self.exit(InputError.exit_code, f"{self.prog}: {message}; '{self.prog} --help' tells what is possible\n")
@@ -47,7 +56,9 @@ def _speaks() -> bool:
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
-        prog="f2s", description="Simulate cold-spray deposition: batches of particles hit a substrate and deform.")
+        prog="f2s", description="Simulate cold-spray deposition: batches of particles hit a substrate and deform.",
+        epilog="To begin: 'f2s scenes' lists what can be run, 'f2s check SCENE' tells what it takes, 'mpirun -n 2 f2s "
+               "run SCENE' runs it, 'f2s report DIR' measures what came out. 'f2s COMMAND --help' tells more of each.")
     parser.add_argument("--version", action=_Version, nargs=0, help="show version and commit, and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -82,14 +93,14 @@ def _parser() -> argparse.ArgumentParser:
     scene_arguments(sub)
     sub.add_argument("--out", metavar="DIR", help="new folder for the results (default: runs/<scene>)")
     sub = command("resume", "continue a run from its newest valid checkpoint, on any number of ranks")
-    sub.add_argument("folder", metavar="DIR")
+    sub.add_argument("folder", metavar="DIR", help="folder of a run")
     sub.add_argument("--set", dest="overrides", metavar="KEY=VALUE", action="append", default=[],
                      help="replace a value of the run or output section, or cycles.count: more cycles, or fewer")
     sub = command("particles", "write the batches of a scene as CSV files")
     scene_arguments(sub)
-    sub.add_argument("--out", metavar="DIR", required=True)
+    sub.add_argument("--out", metavar="DIR", required=True, help="new or empty folder for them, and for a picture")
     _stream_arguments(command)
-    command("inspect", "print the cycle table of a run").add_argument("folder", metavar="DIR")
+    command("inspect", "print the cycle table of a run").add_argument("folder", metavar="DIR", help="folder of a run")
     measuring.add_commands(command)
     _verify_arguments(command("verify", "measure the solver against known solutions, and judge it by its bars"))
     command("doctor", "tell what is installed, and write and read a file on two ranks")

@@ -20,8 +20,8 @@ def add_commands(command) -> None:
     _run_arguments(sub)
     sub.add_argument("--out", metavar="FILE", help="the page (default: DIR/report.html)")
     sub = command("compare", "compare two runs: measurements in percent, then field by field at each cycle")
-    sub.add_argument("first", metavar="DIR")
-    sub.add_argument("second", metavar="DIR")
+    sub.add_argument("first", metavar="DIR", help="folder of a run")
+    sub.add_argument("second", metavar="DIR2", help="folder of another")
     sub.add_argument("--exact", action="store_true",
                      help="field by field only; exit 0 only if every saved bit is equal")
     _settings_arguments(sub)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
+import platform
+from collections import Counter
 
 import numpy as np
 
 from f2s_hpc.analysis.depth import weighted_percentiles
 from f2s_hpc.config.schema import Scene
+from f2s_hpc.particles.batch import Batch, clipped_volume
 from f2s_hpc.particles.plan import BatchPlan
-from f2s_hpc.units import pretty
+from f2s_hpc.units import count_text, pretty
 
 LEAST_CELLS = 2.0
 """With fewer cells to its diameter a particle is not resolved at all."""
@@ -17,9 +21,73 @@ ROUNDED = 0.01
 """A box that whole cells make longer or shorter by a larger share than this is worth a note."""
 
 
+LATE = 0.1
+"""If a larger share of a batch than this comes too late, its cycle is worth a note."""
+
+
 def scene_notes(scene: Scene, plan: BatchPlan) -> list[str]:
-    """Return a line on each: a box that whole cells change much, coarse cells, mirrors that particles fly towards."""
-    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_slanted_flight(scene)]
+    """Return a line on each: a box that whole cells change much, coarse cells, mirrors that particles fly towards,
+    a box too low for the deposit, cycles too short for the flight.
+    """
+    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_slanted_flight(scene), *_short_of_room(scene, plan)]
+
+
+def median_diameter(scene: Scene, plan: BatchPlan) -> float:
+    """Return the diameter (m) below which half the volume of the powder lies, of files by what they hold."""
+    if scene.batches.source != "files":
+        return scene.batches.median_diameter
+    diameters = 2.0 * np.concatenate([batch.r for batch in plan.batches])
+    return float(weighted_percentiles(diameters, diameters**3, (0.5,))[0])
+
+
+def _short_of_room(scene: Scene, plan: BatchPlan) -> list[str]:
+    """Return a line where the deposit reaches up to where batches start, and where cycles end before they are down."""
+    domain, cycles = scene.domain, scene.cycles
+    x, y, _ = domain.extents
+    volumes = [clipped_volume(batch, *domain.extents) for batch in plan.batches]
+    *before, last = (volumes[b] / (x * y) for b in plan.order)
+    notes, grown = [], domain.substrate_height + sum(before)
+    if before and grown > domain.layer_bottom:
+        notes.append(
+            f"domain.size: the batches before the last make {pretty(sum(before), 'length', 3)} of dense height, the "
+            f"substrate has {pretty(domain.substrate_height, 'length', 3)}, and batches start from "
+            f"{pretty(domain.layer_bottom, 'length', 3)} on; a run ends when a particle finds no room below the top: "
+            f"make the box {pretty(grown + domain.particle_layer_height, 'length', 3)} high or more")
+    late, enough = max(_late(scene, batch, domain.layer_bottom, cycles.duration) for batch in plan.batches)
+    if before and late > LATE:
+        notes.append(f"cycles.duration: {100 * late:.0f} % of a batch are in the particle layer still after "
+                     f"{pretty(cycles.duration, 'time', 3)}, when the next one starts there; "
+                     f"{pretty(enough, 'time', 3)} let all leave it")
+    late, enough = _late(scene, plan.batches[plan.order[-1]], grown + last, cycles.durations[-1])
+    if late > LATE:
+        notes.append(f"cycles.{'last_duration' if before else 'duration'}: {100 * late:.0f} % of the last batch fly "
+                     f"still after {pretty(cycles.durations[-1], 'time', 3)}; {pretty(enough, 'time', 3)} let all come "
+                     "down, and they need more to come to rest")
+    return notes
+
+
+def _late(scene: Scene, batch: Batch, height: float, time: float) -> tuple[float, float]:
+    """Return the share of a batch whose centres are above ``height`` (m) after ``time`` (s), and the time all need.
+
+    Only those count that fly downwards.
+    """
+    speed = -(np.full(batch.count, scene.particles.velocity[2]) if batch.velocity is None else batch.velocity[:, 2])
+    down = speed > 0.0
+    needed = (batch.z[down] + scene.domain.layer_bottom - height) / speed[down]
+    return float((needed > time).mean()) if down.any() else 0.0, float(needed.max(initial=0.0))
+
+
+def node_and_cores() -> tuple[str, int]:
+    """Return the name of this rank's node and the number of its cores."""
+    return platform.node(), os.cpu_count() or 1
+
+
+def crowded_nodes(ranks: list[tuple[str, int]]) -> list[str]:
+    """Return a line on the node with most ranks per core, if that is more than one; ``ranks``: what each told."""
+    (node, cores), count = max(Counter(ranks).items(), key=lambda item: item[1] / item[0][1])
+    if count <= cores:
+        return []
+    return [f"{count} ranks share {count_text(cores, 'core')} of {node}; a run is fastest with one rank per core"]
 
 
 def _rounded_sides(scene: Scene) -> list[str]:
@@ -45,10 +113,7 @@ def _slanted_flight(scene: Scene) -> list[str]:
 
 
 def _coarse_cells(scene: Scene, plan: BatchPlan) -> list[str]:
-    median = scene.batches.median_diameter
-    if scene.batches.source == "files":
-        diameters = 2.0 * np.concatenate([batch.r for batch in plan.batches])
-        median = float(weighted_percentiles(diameters, diameters**3, (0.5,))[0])
+    median = median_diameter(scene, plan)
     cells = median / scene.domain.cell_size
     if cells >= LEAST_CELLS * (1.0 - 1e-9):
         return []

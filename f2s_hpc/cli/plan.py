@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 
 from f2s_hpc import mpi, places, units
 from f2s_hpc.bench import rates as measured
@@ -125,6 +126,6 @@ def run(parsed: argparse.Namespace) -> int:
     if rows:
         print(trial.comparison(rows))
     if parsed.json:
-        record = {"predictions": [p.row() for p in found], "check": rows}
+        record = {"predictions": [asdict(p) for p in found], "check": rows}
         places.write_text(parsed.json, json.dumps(record, indent=1) + "\n")
     return 0

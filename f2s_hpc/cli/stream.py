@@ -9,6 +9,7 @@ import math
 from typing import TYPE_CHECKING
 
 from f2s_hpc import mpi, places, units
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.cli.stream_options import DEFAULT_SPEEDS, DIAMETERS, PICTURE
 from f2s_hpc.errors import InputError
 
@@ -42,7 +43,7 @@ def stream(arguments: argparse.Namespace) -> int:
             lines.append(f"picture {folder / PICTURE}")
         return "\n".join(lines)
 
-    _say(mpi.run_together(work))
+    mpi.say(mpi.run_together(work))
     return 0
 
 
@@ -73,7 +74,7 @@ def feed(arguments: argparse.Namespace) -> int:
                 "particles_per_batch": arguments.per_batch, "speeds": [dataclasses.asdict(c) for c in counts]})
         return "\n".join([_feed_table(powder, counts, arguments.per_batch), "note: " + note])
 
-    _say(mpi.run_together(work))
+    mpi.say(mpi.run_together(work))
     return 0
 
 
@@ -104,8 +105,6 @@ def _feed_table(powder: Feed, counts: list[FeedCount], per_batch: int) -> str:
     rows = [(f"{1e3 * c.scan_speed:g} mm/s", units.pretty(c.time, "time"), units.pretty(c.mass, "mass"),
              f"{c.particles:,.0f}", f"{c.batches:.2f}", f"{c.whole_batches} = {c.whole_particles:,}",
              "-" if c.paper is None else f"{c.paper:,}", f"{c.paper_law:,.0f}") for c in counts]
-    widths = [max(map(len, column)) for column in zip(head, *rows)]
-    lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths)) for row in (head, *rows)]
     first = (f"{6e4 * powder.rate:.4g} g/min fed, {100 * powder.share:g} % of it on the strip while the nozzle goes "
              f"{units.pretty(powder.path, 'length')}; mean particle {1e18 * volume:,.0f} um3 (a sphere of "
              f"{1e6 * diameter:.2f} um), {units.pretty(powder.density, 'density')}")
@@ -113,7 +112,7 @@ def _feed_table(powder: Feed, counts: list[FeedCount], per_batch: int) -> str:
            "the law rounded up.")
     table = ("Table 4 (Ge et al. 2026) has whole batches, 4, 6 and 8 of 2,559: its 120 mm/s is six batches, 15,354, "
              "where its 160 mm/s by 1/V_s gives 13,648.")
-    return "\n".join([first, "", *lines, "", law, table])
+    return "\n".join([first, "", *aligned([head, *rows]), "", law, table])
 
 
 def _quantity(arguments: argparse.Namespace, name: str, dimension: str) -> float:
@@ -151,8 +150,3 @@ def _test_places(json_file: str | None, folder: str | None = None) -> None:
 
 def _write_json(path: str, record: dict) -> None:
     places.write_text(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
-
-
-def _say(text: str) -> None:
-    if mpi.is_root():
-        print(text, flush=True)

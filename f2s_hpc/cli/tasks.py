@@ -7,9 +7,9 @@ import os
 import pathlib
 
 from f2s_hpc import mpi, places
-from f2s_hpc._jit import kernels_are_compiled
+from f2s_hpc._jit import is_compiled
 from f2s_hpc.analysis.table import TABLE_KEY, format_table, where_the_time_went
-from f2s_hpc.cli.notes import scene_notes
+from f2s_hpc.cli.notes import crowded_nodes, median_diameter, node_and_cores, scene_notes
 from f2s_hpc.config import describe, dump_scene, load_scene
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.config.schema import Scene
@@ -23,9 +23,10 @@ from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import process_grid
 from f2s_hpc.io import checkpoint, layout, runs
 from f2s_hpc.io.manifest import text_digest
+from f2s_hpc.kernels import strain
 from f2s_hpc.particles.batch import clipped_volume, write_csv
 from f2s_hpc.particles.plan import BatchPlan, make_batches
-from f2s_hpc.units import count_text, pretty_bytes
+from f2s_hpc.units import count_text, pretty, pretty_bytes
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import Balance, balance_of_run
 
@@ -54,9 +55,17 @@ def check(scene: Scene) -> str:
     parts = list(itertools.product(*balance.ranges))
     particles, volume = _painted(scene, plan)
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
-                    more=[("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
+                    more=[("resolution", _resolution_line(scene, plan)),
+                          ("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
                           ("imbalance", _balance_line(balance))])
-    return "\n".join([text, *(f"note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
+    return "\n".join([text, *(f"# note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
+
+
+def _resolution_line(scene: Scene, plan: BatchPlan) -> str:
+    """Return how many cells lie across the median particle, on which the error of a run depends."""
+    median = median_diameter(scene, plan)
+    return (f"{median / scene.domain.cell_size:.3g} cells across the median particle of {pretty(median, 'length', 3)}; "
+            "how accurate that is: README, 'Which cells to choose'")
 
 
 def _memory_line(scene: Scene, balance: Balance, plan: BatchPlan) -> str:
@@ -105,7 +114,8 @@ def run(scene: Scene, out: str) -> int:
 
 
 def _announce_compiling() -> None:
-    if mpi.is_root() and not kernels_are_compiled():
+    # (one of the last in a first step: f2s check has compiled others)
+    if mpi.is_root() and not is_compiled(strain.lagrangian_step):
         _say("note: the kernels are compiled now, once: until the first step that takes a minute or so")
 
 
@@ -125,7 +135,7 @@ def resume(folder: str, overrides: list[str]) -> int:
         if key.split(".")[0].strip() not in ("run", "output") and key != "cycles.count":
             raise InputError(f'--set {text}: a resumed run may change only its "run" and "output" sections and '
                              "cycles.count")
-    mpi.run_together(places.run_folder, folder)
+    mpi.run_together(_refuse_other_folders, folder)
     _announce_compiling()
     with runs.hold(folder):
         return _resume(folder, overrides)
@@ -157,6 +167,13 @@ def _resume(folder: str, overrides: list[str]) -> int:
         _say(f"resuming from {path}: cycle {simulation.cycle + 1} of {scene.cycles.count}, step {clock.steps}, "
              f"{1e6 * clock.time:.4f} us, on {count_text(mpi.size(), 'rank')}")
     return _finish(simulation, folder)
+
+
+def _refuse_other_folders(folder: str) -> None:
+    """Raise ``InputError`` for what is no run's folder, before a lock is left there."""
+    place = places.run_folder(folder) / layout.CHECKPOINTS
+    if places.kind(place) != places.FOLDER:
+        raise InputError(f"{place}: no such folder; is {folder} the folder of a run?")
 
 
 def _checkpoint_attributes(path: os.PathLike) -> dict:
@@ -230,6 +247,8 @@ def _same_run(scene: Scene, own: Scene, path: pathlib.Path, place: pathlib.Path)
 
 
 def _finish(simulation: Simulation, folder: str | os.PathLike) -> int:
+    for note in crowded_nodes(mpi.all_gather(node_and_cores())):
+        _say(f"note: {note}")
     status = simulation.run()
     folder = pathlib.Path(folder)
     found = [(text, folder / name) for text, name in (

@@ -14,6 +14,7 @@ import time
 
 from f2s_hpc import mpi
 from f2s_hpc.bench.hook import Stopwatches, waiting
+from f2s_hpc.bench.scaling import TIMES
 from f2s_hpc.bench.trial import typical
 from f2s_hpc.cli.main import main
 from f2s_hpc.cycles import simulation
@@ -43,7 +44,7 @@ def timed(arguments: list[str]) -> int:
                  "busy_s": float(mpi.maximum(typical(busy[first:])))}
         if mpi.is_root():
             folder = pathlib.Path(arguments[arguments.index("--out") + 1])
-            (folder / "times.json").write_text(json.dumps(times) + "\n", encoding="utf-8")
+            (folder / TIMES).write_text(json.dumps(times) + "\n", encoding="utf-8")
     return code
 
 

@@ -94,7 +94,10 @@ def _read(name: str) -> tuple[dict, str, pathlib.Path]:
     if found != places.FILE:
         if path.suffix == ".toml" or os.sep in name or found != places.NOTHING:
             raise InputError(f"{name}: no such file" if found == places.NOTHING else f"{name}: not a file")
-        raise InputError(f'no scene "{name}": neither a built-in one nor a file; {did_you_mean(name, scene_names())}')
+        beside = path.with_name(f"{path.name}.toml")
+        hint = (f'did you mean "{beside}"?' if places.kind(beside) == places.FILE else
+                did_you_mean(name, scene_names()))
+        raise InputError(f'no scene "{name}": neither a built-in one nor a file; {hint}')
     try:
         text = path.read_text(encoding="utf-8-sig")  # (editors of Windows put a mark of their own first)
     except UnicodeDecodeError:

@@ -37,10 +37,12 @@ def one_line(error: ValidationError, source: str, overrides: Sequence[str]) -> s
     typos = [p for p in problems if p["type"] == "extra_forbidden"]
     meant = {guess for p in typos for guess in _guesses(p["loc"])}
     rest = [p for p in problems if p not in typos and not (p["type"] == "missing" and _path(p["loc"]) in meant)]
-    first = (typos + rest)[0]
-    more = len(typos) + len(rest) - 1
+    first, *more = typos + rest
     key, text = _explain(first)
-    return f"{origin(key, source, overrides)}: {text}" + (f" (and {more} more)" if more else "")
+    others = f"{len(more)} more"
+    if [p["type"] for p in more] == ["missing"]:  # (what the unknown key was meant for)
+        others = f"{_path(more[0]['loc'])} is missing"
+    return f"{origin(key, source, overrides)}: {text}" + (f" (and {others})" if more else "")
 
 
 def origin(key: str, source: str, overrides: Sequence[str]) -> str:

@@ -25,7 +25,7 @@ from f2s_hpc.config.quantities import (
 
 Face = Literal["symmetry", "fixed", "free", "outflow", "absorbing"]
 DERIVED_FIELDS = tuple(f.name for f in fields.DERIVED)
-SHOWN_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
+POSSIBLE_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
 LEAST_TRACERS = 10
 MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
 
@@ -99,9 +99,9 @@ class Substrate(Section):
 
     temperature: Temperature = Field(default=298.15, description="initial temperature, K")
     backing: LengthOrZero | None = Field(
-        default=None, description="thickness of the substrate below the box, m, through which heat leaves while the "
-                                  "deposit dwells, to a far side that keeps substrate.temperature; if not given, none "
-                                  "leaves")
+        default=None, examples=["3 mm"],
+        description="thickness of the substrate below the box, m, through which heat leaves while the deposit dwells, "
+                    "to a far side that keeps substrate.temperature; if not given, none leaves")
 
 
 class Batches(Section):
@@ -182,8 +182,9 @@ class Cycles(Section):
     duration: Time = Field(description="duration of each cycle but the last, s")
     last_duration: Time = Field(default_factory=lambda data: data["duration"],
                                 description="duration of the last cycle, s; default: as the others")
-    dwell: Time | None = Field(default=None, description="time between the end of a cycle and the next batch, s, in "
-                                                         "which nothing moves and heat is conducted; none by default")
+    dwell: Time | None = Field(default=None, examples=["10 ms"], description=(
+        "time between the end of a cycle and the next batch, s, in which nothing moves and heat is conducted; none by "
+        "default"))
 
     @property
     def durations(self) -> tuple[float, ...]:
@@ -252,8 +253,8 @@ class View(Section):
     x: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description=_SPAN.format("x"))
     y: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description=_SPAN.format("y"))
     z: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description=_SPAN.format("z"))
-    interval: Time | None = Field(default=None, description="simulated time between two pictures, s; without it there "
-                                                            "is no view")
+    interval: Time | None = Field(default=None, examples=["20 ns"], description=(
+        "simulated time between two pictures, s; without it there is no view"))
 
     @field_validator("x", "y", "z", mode="before")
     @classmethod
@@ -288,11 +289,11 @@ class View(Section):
 class Output(Section):
     """What is written while running."""
 
-    fields: tuple[str, ...] = Field(default=("volume_fraction", "peeq", "temperature", "von_mises", "speed"),
-                                    min_length=1,
-                                    description=f"fields of the frames; there are {', '.join(SHOWN_FIELDS)}")
+    fields: tuple[str, ...] = Field(default=fields.SHOWN, min_length=1,
+                                    description=f"fields of the frames; there are {', '.join(POSSIBLE_FIELDS)}")
     frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
-    frame_interval: Time | None = Field(default=None, description="simulated time between extra frames, s")
+    frame_interval: Time | None = Field(default=None, examples=["50 ns"],
+                                        description="simulated time between extra frames, s")
     view: View = Field(default_factory=View, description="a part of the box that is written more often")
     checkpoints: Switch = Field(default=True, description="a checkpoint after each cycle")
     keep_checkpoints: Whole = Field(default=2, ge=1, description="number of checkpoints kept")
@@ -311,8 +312,8 @@ class Output(Section):
     @classmethod
     def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for name in value:
-            if name not in SHOWN_FIELDS:
-                raise ValueError(f'there is no field "{name}"; possible: {", ".join(SHOWN_FIELDS)}')
+            if name not in POSSIBLE_FIELDS:
+                raise ValueError(f'there is no field "{name}"; possible: {", ".join(POSSIBLE_FIELDS)}')
         if len(set(value)) < len(value):
             raise ValueError("a field is named twice")
         return value

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import pathlib
-import time
-
 import numpy as np
 
 from f2s_hpc import mpi
@@ -17,10 +13,9 @@ from f2s_hpc.kernels import derived
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
 from f2s_hpc.state import State
+from f2s_hpc.units import ZERO_CELSIUS
 
 _BINS = 8192
-_ZERO_CELSIUS = 273.15
-_IMPORTED = time.monotonic()
 
 
 def derived_field(state: State, model: Model, name: str) -> np.ndarray:
@@ -167,7 +162,7 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
     solid = fraction > 0.5
     peeq_max = mpi.maximum(peeq[solid].max() if solid.any() else 0.0)
     p50, p95 = percentiles(peeq[deposit], mass[deposit], (0.5, 0.95))
-    t50, t95 = percentiles(temperature[deposit] - _ZERO_CELSIUS, mass[deposit], (0.5, 0.95))
+    t50, t95 = percentiles(temperature[deposit] - ZERO_CELSIUS, mass[deposit], (0.5, 0.95))
     return {
         "height_mean_m": float(surface.mean()), "height_p95_m": float(np.percentile(surface, 95)),
         "height_max_m": float(surface.max()), "peeq_p50": p50, "peeq_p95": p95, "peeq_max": float(peeq_max),
@@ -178,7 +173,7 @@ def measure_material(state: State, model: Model, substrate_height: float, partic
 def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta: int) -> dict:
     """Return the mass balance (kg, relative to the painted mass) and the energy ledger (J)."""
     totals = ledger.totals()
-    area = part_area(state)
+    width, depth, _ = state.part.box.extents
     now = material_quanta(state, model)
     missing, painted = missing_quanta(totals, now, substrate_quanta)
     lent = totals["mass_lent"]
@@ -196,7 +191,7 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
         "painted_volume_m3": painted * model.mass_quantum * model.dx**3,
         "mass_drift_relative": missing / painted if painted else 0.0,
         "mass_left_kg": totals["mass_left"] * kilogram, "mass_capped_kg": totals["mass_capped"] * kilogram,
-        "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / area,
+        "dense_height_m": (now + lent - substrate_quanta) * model.mass_quantum * model.dx**3 / (width * depth),
         "numerical_loss_fraction": lost / brought if brought else 0.0,
         "numerical_loss_unheated_fraction": unheated / brought if brought else 0.0, "energy": energy,
         "nodes_capped": totals["nodes_capped"],
@@ -214,12 +209,6 @@ def missing_quanta(totals: dict[str, int], now: int, substrate_quanta: int) -> t
     return painted + substrate_quanta - out - now, painted
 
 
-def part_area(state: State) -> float:
-    """Return the footprint of the box (m2)."""
-    x, y, _ = state.part.box.extents
-    return x * y
-
-
 def elastic_quanta(state: State, model: Model) -> int:
     """Return the elastic energy of the material in quanta, an exact sum over all ranks."""
     runs, count = state.all_runs
@@ -227,28 +216,3 @@ def elastic_quanta(state: State, model: Model) -> int:
                                     model.eos, state.flat["mass"], state.flat["volume_fraction"], state.stress,
                                     model.dx**3, model.energy_quantum)
     return sum(mpi.all_gather(int(quanta)))
-
-
-def process_age() -> float:
-    """Return how long this process has been running (s), imports included; without /proc, since this module's own."""
-    try:
-        fields = pathlib.Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        started = int(fields[19]) / os.sysconf("SC_CLK_TCK")  # field 22 of proc(5), since boot
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
-    except (OSError, AttributeError, ValueError, IndexError):
-        return time.monotonic() - _IMPORTED
-
-
-def peak_memory() -> int:
-    """Return the largest resident memory of this rank so far (bytes).
-
-    Linux says it of this program alone; the resource usage that others know includes what started it.
-    """
-    try:
-        for line in pathlib.Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    import resource  # (not on Windows, where runs are only measured)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

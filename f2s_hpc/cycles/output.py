@@ -19,6 +19,7 @@ import numpy as np
 
 import f2s_hpc
 from f2s_hpc import mpi
+from f2s_hpc.analysis import picture
 from f2s_hpc.analysis.surface import LANDED
 from f2s_hpc.config.dump import dump_scene, scene_hash
 from f2s_hpc.config.schema import Scene
@@ -40,7 +41,6 @@ from f2s_hpc.units import count_text
 PICTURE = "deposit.png"
 BATCHES, ORDER = "batches", "order.json"
 BATCH_NAME = re.compile(r"batch-(\d+)\.csv")
-PICTURE_FIELDS = ("volume_fraction", "peeq", "temperature", "speed")
 
 
 def batch_name(number: int) -> str:
@@ -222,8 +222,8 @@ class RunFolder:
         """
         if not (self.scene.output.picture or self.scene.output.picture_each_cycle):
             return None
-        if not set(PICTURE_FIELDS) <= set(self.scene.output.fields):
-            _note(f"no picture; output.fields lacks {' or '.join(PICTURE_FIELDS)}")
+        if not set(picture.NEEDED) <= set(self.scene.output.fields):
+            _note(f"no picture; output.fields lacks {' or '.join(picture.NEEDED)}")
             return None
         path = self.path / PICTURE
         try:
@@ -234,13 +234,11 @@ class RunFolder:
         return path
 
     def _draw(self, summary: dict, plan: BatchPlan, path: pathlib.Path) -> None:
-        from f2s_hpc.analysis import picture  # (what it loads should not lie beside the fields of a run)
-
         numbers = runs.list_frames(self.path)
         if not numbers:
             raise F2SError(f"{self.path / layout.FRAMES} holds no frame")
         # (an older run may have been resumed with other fields than its frames have)
-        fields, _ = runs.open_frame(self.path, numbers[-1], PICTURE_FIELDS)
+        fields, _ = runs.open_frame(self.path, numbers[-1], picture.NEEDED)
         domain, flying = self.scene.domain, summary.get("particles_in_flight", 0)
         landed = count_text(summary["particles"] - flying, "particle")
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,

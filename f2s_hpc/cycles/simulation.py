@@ -19,7 +19,7 @@ from f2s_hpc.cycles.insert import InsertReport, paint_substrate
 from f2s_hpc.cycles.output import BATCHES, RunFolder
 from f2s_hpc.cycles.pause import Pause
 from f2s_hpc.cycles.progress import Progress
-from f2s_hpc.cycles.spent import Spent
+from f2s_hpc.cycles.spent import Spent, peak_memory, process_age
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import Tracers, check_same
@@ -254,7 +254,7 @@ class Simulation:
     def _end_startup(self) -> None:
         """Note what the start took: up to the end of the first step, or to a dwell with which a resumed run begins."""
         if self.startup is None:
-            self.startup = measure.process_age(), measure.peak_memory()
+            self.startup = process_age(), peak_memory()
             phases.started(self.stages)
 
     def _save(self, stops: bool) -> None:
@@ -323,12 +323,13 @@ class Simulation:
             self.folder.draw(summary, self.plan)
         trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
-        p50 = f"{row['peeq_p50']:.2f}" if row["peeq_p50"] is not None else "-"
-        t50 = f"{row['temperature_p50_degC']:.0f} degC" if row["temperature_p50_degC"] is not None else "-"
+        # (none as long as nothing has landed)
+        p50 = f" PEEQ {row['peeq_p50']:.2f}," if row["peeq_p50"] is not None else ""
+        t50 = f" {row['temperature_p50_degC']:.0f} degC," if row["temperature_p50_degC"] is not None else ""
         self.progress.say(
             f"cycle {self.cycle}/{self.scene.cycles.count} done: {count_text(row['particles'], 'particle')}, dense "
             f"height {1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
-            f"{1e6 * row['height_max_m']:.1f} um, PEEQ {p50}, {t50}, loss "
+            f"{1e6 * row['height_max_m']:.1f} um,{p50}{t50} loss "
             f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
             + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))
 
@@ -390,7 +391,7 @@ class Simulation:
         row = row | self.spent.so_far(self.stop.elapsed())
         row["active_cell_steps_per_s"] = row["active_cell_steps"] / max(row["wall_s"], 1e-9)
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
-        age, memory = self.startup or (measure.process_age(), measure.peak_memory())
+        age, memory = self.startup or (process_age(), peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep,

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
+import time
+
 import numpy as np
 
 from f2s_hpc import mpi, phases
-from f2s_hpc.cycles import measure
+
+_IMPORTED = time.monotonic()
 
 
 class Spent:
@@ -28,7 +33,7 @@ class Spent:
         added, whichever rank they were on. Collective.
         """
         before = self.before
-        found = mpi.all_gather((elapsed, measure.peak_memory(), phases.seconds()))
+        found = mpi.all_gather((elapsed, peak_memory(), phases.seconds()))
         memory, spent = [entry[1] for entry in found], np.array([entry[2] for entry in found])
         table = {name: {"mean_s": float(mean), "largest_s": float(largest)}
                  for name, mean, largest in zip(phases.PHASES, spent.mean(axis=0), spent.max(axis=0))}
@@ -38,3 +43,28 @@ class Spent:
         return {"wall_s": before["wall_s"] + found[mpi.ROOT][0], "phases": table,
                 "peak_memory_bytes_per_rank": max(before["peak_memory_bytes_per_rank"], *memory),
                 "peak_memory_bytes": max(before["peak_memory_bytes"], sum(memory))}
+
+
+def process_age() -> float:
+    """Return how long this process has been running (s), imports included; without /proc, since this module's own."""
+    try:
+        fields = pathlib.Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        started = int(fields[19]) / os.sysconf("SC_CLK_TCK")  # field 22 of proc(5), since boot
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
+    except (OSError, AttributeError, ValueError, IndexError):
+        return time.monotonic() - _IMPORTED
+
+
+def peak_memory() -> int:
+    """Return the largest resident memory of this rank so far (bytes).
+
+    Linux says it of this program alone; the resource usage that others know includes what started it.
+    """
+    try:
+        for line in pathlib.Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    import resource  # (not on Windows, where runs are only measured)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

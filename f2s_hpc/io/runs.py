@@ -10,6 +10,7 @@ import csv
 import json
 import os
 import pathlib
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -53,7 +54,7 @@ def check_new_folder(path: str | os.PathLike) -> pathlib.Path:
             if _held(path):
                 raise InputError(f"{path}: another run is at work in it; start a new one in another folder with --out")
             if (path / layout.CHECKPOINTS).is_dir() or (path / layout.SUMMARY_JSON).exists():
-                go_on = (f"; continue it with 'f2s resume {path}', or" if _has_checkpoint(path) else
+                go_on = (f"; continue it with 'f2s resume {shlex.quote(str(path))}', or" if _has_checkpoint(path) else
                          ", without a checkpoint to continue from; remove it, or")
                 raise InputError(f"{path}: holds a run already{go_on} start a new one in another folder with --out")
             raise InputError(f"{path}: is not empty; name a new or empty folder with --out")

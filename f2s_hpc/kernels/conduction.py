@@ -109,21 +109,15 @@ def super_stage(runs, count, window, shape, weights, gained, first_gained, start
 
 
 @kernel
-def add_energy_of_change(runs, count, window, shape, specific_heat, start, temperature, energy):
-    """Add the heat of the change of temperature against ``start`` (K) to ``energy`` (J/kg), as :func:`add_heat` does.
-
-    Returns the largest change (K) among the owned cells.
-    """
+def largest_change(runs, count, window, shape, start, temperature):
+    """Return the largest change of temperature against ``start`` (K) among the cells of ``window``."""
     ny, nx = shape
-    carried, largest = energy.size > 1, 0.0
+    largest = 0.0
     for r in range(count):
         k, j = runs[r, 0], runs[r, 1]
         if k < window[0] or k >= window[1] or j < window[2] or j >= window[3]:
             continue
         cell = (k * ny + j) * nx
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
-            change = temperature[cell + i] - start[cell + i]
-            largest = max(largest, abs(change))
-            if carried:
-                energy[cell + i] += specific_heat * change
+            largest = max(largest, abs(temperature[cell + i] - start[cell + i]))
     return largest

@@ -36,12 +36,11 @@ def _metal(density: float, young_GPa: float, poisson: float, heat: float, conduc
     }
 
 
-def _johnson_cook(A: float, B: float, n: float, C: float, m: float, melting: str, reference: str,
-                  rate: str = "1 1/s") -> dict:
-    """Return Johnson-Cook constants: A and B in MPa, temperatures and reference rate as text."""
+def _johnson_cook(A: float, B: float, n: float, C: float, m: float, melting: str, reference: str) -> dict:
+    """Return Johnson-Cook constants: A and B in MPa, temperatures as text, reference rate 1/s."""
     return {
         "model": "johnson_cook", "A": f"{A:g} MPa", "B": f"{B:g} MPa", "n": n, "C": C, "m": m,
-        "reference_rate": rate, "reference_temperature": reference, "melting_temperature": melting,
+        "reference_rate": "1 1/s", "reference_temperature": reference, "melting_temperature": melting,
     }
 
 

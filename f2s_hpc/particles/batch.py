@@ -5,7 +5,6 @@ A batch's z is measured from the bottom of the particle layer, in files and in m
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import os
@@ -17,10 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from f2s_hpc import places
+from f2s_hpc.csv_rows import count_error, read_rows
 from f2s_hpc.errors import InputError
 from f2s_hpc.particles.packing import smallest_gap_ratio, volume_inside
 from f2s_hpc.particles.sizes import SMALLEST
-from f2s_hpc.units import ZERO_CELSIUS
+from f2s_hpc.units import UnitError, parse, show
 
 COLUMNS = ("x", "y", "z", "r")
 VELOCITY_COLUMNS = ("vx", "vy", "vz")
@@ -106,10 +106,10 @@ def _metres_per_second(text: str, where: str, column: str) -> float:
 def _kelvin(text: str, where: str, column: str) -> float:
     """Return a temperature in degC as kelvin, rounded once, not below absolute zero."""
     try:
-        value = float(Decimal(text.strip()) + ZERO_CELSIUS)
-    except (InvalidOperation, Overflow, ValueError):
+        value = parse(f"{text} degC", "temperature")
+    except UnitError:
         value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
+    if not value >= 0.0:
         raise InputError(f"{where}: {column} is {_quoted(text)}, but must be a number in degC, like 450")
     return value
 
@@ -117,7 +117,7 @@ def _kelvin(text: str, where: str, column: str) -> float:
 def _check_header(path: Path, header: list[str]) -> None:
     for name in COLUMNS:
         if name not in header:
-            raise InputError(f"{path}: column {name!r} is missing; the first line must be x,y,z,r (millimetres), "
+            raise InputError(f"{path}: column {name!r} is missing; the first line must be x,y,z,r (millimetres, no #), "
                              f"not {_quoted(','.join(header))}")
     for name in header:
         if name not in KNOWN_COLUMNS or header.count(name) > 1:
@@ -126,17 +126,6 @@ def _check_header(path: Path, header: list[str]) -> None:
     velocities = [name for name in VELOCITY_COLUMNS if name in header]
     if velocities and len(velocities) < 3:
         raise InputError(f"{path}: column {','.join(velocities)} without the others; give all of vx,vy,vz or none")
-
-
-def _split_rows(path: Path, lines: Sequence[str]) -> list[list[str]]:
-    """Return the values of each line that is not blank. Raises InputError, naming the row that cannot be split."""
-    rows = []
-    try:
-        rows.extend(csv.reader(line for line in lines if line.strip()))
-    except csv.Error as error:
-        where = f"row {len(rows)}" if rows else "the first line"
-        raise InputError(f"{path}: {where}: cannot be split into values ({error}); is a quote left open?") from None
-    return rows
 
 
 def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
@@ -148,15 +137,11 @@ def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
     unless it ``may_be_empty``.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputError(f"{path}: cannot be read ({reason}); a CSV file with the columns x,y,z,r is needed") from None
-    rows = _split_rows(path, lines)
+    rows = read_rows(path, "a CSV file with the columns x,y,z,r is needed")
     if not rows:
         raise InputError(f"{path}: the file is empty; the first line must be x,y,z,r, then one sphere per row")
     header = [name.strip() for name in rows[0]]
+    header = [name.lower() if name.lower() in KNOWN_COLUMNS else name for name in header]
     _check_header(path, header)
     order = [name for name in KNOWN_COLUMNS if name in header]
     kinds = dict.fromkeys(COLUMNS, _metres) | dict.fromkeys(VELOCITY_COLUMNS, _metres_per_second) | {
@@ -165,7 +150,7 @@ def read_csv(path: str | os.PathLike, may_be_empty: bool = False) -> Batch:
     for number, row in enumerate(rows[1:], start=1):
         where = f"{path}: row {number}"
         if len(row) != len(header):
-            raise InputError(f"{where}: {len(row)} values, but the header {','.join(order)} needs {len(order)}")
+            raise count_error(where, row, header)
         for column, text in zip(header, row):
             spheres[number - 1, order.index(column)] = kinds[column](text, where, column)
         if spheres[number - 1, 3] <= 0.0:
@@ -196,8 +181,8 @@ def write_csv(path: str | os.PathLike, batch: Batch) -> None:
         rows = [",".join([row, *map(repr, velocity)]) for row, velocity in zip(rows, batch.velocity.tolist())]
     if batch.temperature is not None:
         header += (TEMPERATURE_COLUMN,)
-        celsius = (Decimal(repr(value)) - ZERO_CELSIUS for value in batch.temperature.tolist())
-        rows = [f"{row},{value:f}" for row, value in zip(rows, celsius)]
+        celsius = (show(value, "temperature").removesuffix(" degC") for value in batch.temperature.tolist())
+        rows = [f"{row},{value}" for row, value in zip(rows, celsius)]
     places.write_text(path, "\n".join([",".join(header), *rows]) + "\n")
 
 

@@ -7,17 +7,16 @@ unit of that kind; the lateral velocity may be left out.
 
 from __future__ import annotations
 
-import csv
 import difflib
 import importlib.resources
 import os
 import re
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from f2s_hpc import units
+from f2s_hpc.csv_rows import count_error, read_rows, split_rows
 from f2s_hpc.errors import InputError
 
 SYNTHETIC = "synthetic"
@@ -98,24 +97,17 @@ def read_measurement(path: str | os.PathLike) -> Measurement:
     that is no number, a diameter or velocity that is not positive, and fewer than ``LEAST_PARTICLES`` particles.
     """
     if os.fspath(path) == SYNTHETIC:
-        text, where = synthetic_text(), SYNTHETIC_FILE
+        where, rows = SYNTHETIC_FILE, split_rows(SYNTHETIC_FILE, synthetic_text())
     else:
         where = str(path)
-        try:
-            text = Path(path).read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not a text file"
-            raise InputError(f"{where}: cannot be read ({reason}); a CSV file with a header like {EXAMPLE} is needed, "
-                             f'or the name "{SYNTHETIC}"') from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = list(csv.reader(lines))
+        rows = read_rows(path, f'a CSV file with a header like {EXAMPLE} is needed, or the name "{SYNTHETIC}"')
     if not rows:
         raise InputError(f"{where}: no header; the first line must be like {EXAMPLE}")
     columns = _columns(where, rows[0])
     values = np.empty((len(columns), len(rows) - 1))
     for number, row in enumerate(rows[1:], start=1):
         if len(row) != len(columns):
-            raise InputError(f"{where}: row {number}: {len(row)} values, but the header has {len(columns)} columns")
+            raise count_error(f"{where}: row {number}", row, rows[0])
         for column, (text, (name, factor)) in enumerate(zip(row, columns)):
             values[column, number - 1] = factor * _number(text, f"{where}: row {number}", name)
     if len(rows) - 1 < LEAST_PARTICLES:

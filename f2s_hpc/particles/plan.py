@@ -55,10 +55,20 @@ def _read_files(scene, height: float, messages: list[str]) -> list[Batch]:
     batches = []
     for path in scene.batches.files:
         batch = read_csv(path)
+        _refuse_other_units(batch, path, scene.domain)
         check_inside(batch, str(path), size_x, size_y, height)
         _warn_of_overlap(batch, str(path), messages)
         batches.append(batch)
     return batches
+
+
+def _refuse_other_units(batch: Batch, path: str, domain) -> None:
+    """Raise InputError for spheres of which all are larger than the box, or none is a hundredth of a cell."""
+    for radius, wrong, unit in ((batch.r.min(), batch.r.min() > max(domain.size), "micrometres"),
+                                (batch.r.max(), batch.r.max() < 0.005 * domain.cell_size, "metres")):
+        if wrong:
+            raise InputError(f"{path}: a radius of {1e3 * radius:g} mm, in a box of {1e3 * max(domain.size):g} mm with "
+                             f"cells of {1e3 * domain.cell_size:g} mm; are its numbers {unit}? millimetres are needed")
 
 
 def _given_spheres(scene, messages: list[str]) -> Batch:
@@ -289,7 +299,7 @@ def _with_temperatures(scene, batches: list[Batch], messages: list[str], kept: b
     batches = [batch if batch.temperature is not None else dataclasses.replace(
         batch, temperature=np.full(batch.count, 1.0) * scene.particles.temperature_at(2.0 * batch.r))
         for batch in batches]
-    values = np.concatenate([batch.temperature for batch in batches]) - float(ZERO_CELSIUS)
+    values = np.concatenate([batch.temperature for batch in batches]) - ZERO_CELSIUS
     messages.append(f"particles are at {values.min():.1f} to {values.max():.1f} degC, {values.mean():.1f} in the mean")
     return batches
 

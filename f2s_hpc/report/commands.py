@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from f2s_hpc import mpi, places
+from f2s_hpc.analysis.depth import SHARES
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.errors import InputError
 from f2s_hpc.grid import petsc
@@ -182,7 +183,7 @@ def as_dictionary(found: Measurements) -> dict:
     for name, d in found.distributions.items():
         result[f"{name}_by_height"] = {
             "low_m": d.low.tolist(), "high_m": d.high.tolist(), "volume_m3": d.volume.tolist(),
-            "mean": _plain(d.mean), "shares": list(d.shares), "percentiles": [_plain(row) for row in d.percentiles]}
+            "mean": _plain(d.mean), "shares": list(SHARES), "percentiles": [_plain(row) for row in d.percentiles]}
     return result
 
 
@@ -203,7 +204,7 @@ def _write_tables(place: pathlib.Path, found: Measurements) -> None:
         unit = {"peeq": "", "temperature": "_K", "von_mises": "_Pa"}[name]
         columns = {"low_um": _micro(d.low), "high_um": _micro(d.high), "volume_um3": (1e18 * d.volume).tolist(),
                    f"mean{unit}": d.mean.tolist()}
-        columns |= {f"p{100 * share:02.0f}{unit}": d.percentiles[:, n].tolist() for n, share in enumerate(d.shares)}
+        columns |= {f"p{100 * share:02.0f}{unit}": d.percentiles[:, n].tolist() for n, share in enumerate(SHARES)}
         write_columns(place / f"{name}-by-height.csv", columns)
     j, i = np.indices(deposit.surface.shape)
     write_columns(place / "height-map.csv", {

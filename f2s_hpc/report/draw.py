@@ -34,7 +34,8 @@ def draw_all(folder: pathlib.Path, runs: Sequence[tuple[str, Measurements]]) -> 
     figures.profiles(place("profile"), [_laid_over(label, m) for label, m in runs], _spread(first), first.experiment,
                      across, first.paper_height)
     figures.depth_bands(place("depth"), [(label, m.distributions) for label, m in runs])
-    figures.flattening_figure(place("flattening"), [(label, m.flattening, m.fits) for label, m in runs])
+    if any(m.flattening.count for _, m in runs):
+        figures.flattening_figure(place("flattening"), [(label, m.flattening, m.fits) for label, m in runs])
     if all(m.deposit.diameters.size for _, m in runs):
         figures.particle_sizes(place("particles"), [(label, m.deposit.diameters) for label, m in runs])
     heights = canvas.limits([1e6 * (m.deposit.surface - m.deposit.ground) for _, m in runs], *figures.HEIGHT_SHARES)

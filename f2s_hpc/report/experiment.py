@@ -13,6 +13,7 @@ import numpy as np
 
 from f2s_hpc import places
 from f2s_hpc.analysis.profile import Profile
+from f2s_hpc.csv_rows import read_rows
 from f2s_hpc.errors import InputError
 
 UNITS = {"mm": 1e-3, "um": 1e-6}
@@ -26,12 +27,7 @@ def read_profile(path: str | os.PathLike) -> Profile:
     naming file and row, for a file that cannot be read, another first line, no number, or fewer than three points.
     """
     path = pathlib.Path(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or 'not a text file'}; it should be a CSV file of "
-                         f"a profile, {_HEADER}") from None
+    rows = read_rows(path, f"it should be a CSV file of a profile, {_HEADER}")
     header = [name.strip() for name in rows[0]] if rows else []
     unit = next((u for u in UNITS if {f"x_{u}", f"height_{u}"} <= set(header)), None)
     if unit is None:

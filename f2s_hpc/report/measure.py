@@ -107,7 +107,7 @@ def deposit_percentiles(found: Measurements, name: str) -> np.ndarray:
     """Return the percentiles (at ``depth.SHARES``) of a field in the whole deposit; NaN while nothing has landed."""
     whole = found.overall[name]
     above = whole.low > -1e-6 * found.deposit.dx
-    return whole.percentiles[above][-1] if above.any() else np.full(len(whole.shares), np.nan)
+    return whole.percentiles[above][-1] if above.any() else np.full(len(depth.SHARES), np.nan)
 
 
 def is_section4(deposit: Deposit) -> bool:

@@ -12,8 +12,10 @@ import numpy as np
 from f2s_hpc.analysis import profile
 from f2s_hpc.analysis.depth import SHARES
 from f2s_hpc.analysis.flattening import Regression
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.report.measure import Measurements, deposit_percentiles
 from f2s_hpc.report.traced import APART, CUT, FEW
+from f2s_hpc.units import ZERO_CELSIUS
 
 _INDENT = "   "
 ROUND_OFF = 1e-9
@@ -224,7 +226,7 @@ def _overall(found: Measurements) -> list[Quantity]:
     group = "State of the deposit (by volume, above the substrate top)"
     rows = []
     for name, text, unit, scale, form, shift in (("peeq", "PEEQ", "", 1.0, ".3f", 0.0),
-                                                 ("temperature", "temperature", "°C", 1.0, ".1f", 273.15),
+                                                 ("temperature", "temperature", "°C", 1.0, ".1f", ZERO_CELSIUS),
                                                  ("von_mises", "von Mises stress", "MPa", 1e-6, ".1f", 0.0)):
         unit_key = {"": "", "°C": "_degC", "MPa": "_Pa"}[unit]
         for share, value in zip(SHARES, deposit_percentiles(found, name)):
@@ -265,9 +267,7 @@ class Table:
 
     def as_text(self) -> str:
         """Return the table for a terminal."""
-        widths = [max(len(line[c]) for line in [self.head, *self.rows]) for c in range(len(self.head))]
-        lines = ["  ".join(cell.ljust(w) if c == 0 else cell.rjust(w) for c, (cell, w) in enumerate(zip(line, widths)))
-                 for line in [self.head, *self.rows]]
+        lines = aligned([self.head, *self.rows], left=(0,))
         return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
 
 
@@ -352,7 +352,7 @@ def depth_tables(runs: Sequence[tuple[str, Measurements]]) -> list[Table]:
     """
     result = []
     for name, title, shift, scale, form in (("peeq", "PEEQ", 0.0, 1.0, ".3f"),
-                                            ("temperature", "Temperature (°C)", 273.15, 1.0, ".1f"),
+                                            ("temperature", "Temperature (°C)", ZERO_CELSIUS, 1.0, ".1f"),
                                             ("von_mises", "Von Mises stress (MPa)", 0.0, 1e-6, ".1f")):
         own = runs[0][1].distributions[name]
         columns = [own.median]

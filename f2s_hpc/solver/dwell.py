@@ -5,6 +5,10 @@ super steps of the Runge-Kutta-Legendre kind (RKL2: Meyer, Balsara and Aslam, J.
 go as far as s^2 / 4 explicit steps, stable at any s, of second order, and heat is kept as the fluxes are the same. An
 implicit solution by Krylov's methods would need sums over all cells, whose bits hang on the number of ranks; here each
 cell sees its neighbours only.
+
+Nothing moves, so nothing contracts either: with Mie-Grueneisen pressure the internal energy, and with it pressure and
+density, stays as it was. Energy that followed the heat would put all of a deposit that cools by some 300 K in place
+under a tension beyond the spall cutoff, and it would tear in the next step, every cell of it; real metal contracts.
 """
 
 from __future__ import annotations
@@ -95,7 +99,7 @@ def dwell(state: State, model: Model, course: Course, backing: float | None, hel
 
     ``backing``: thickness (m) of what lies below the box, whose far side is held at ``held_at`` (K) and which takes up
     no heat itself; None: nothing flows through the bottom. What sleeps takes part. All ghosts are valid before and
-    after; the Mie-Grueneisen pressure follows by the internal energy.
+    after.
     ``asks``: called after each super step with the seconds that are left; returns what this rank asks for, 0 for
     nothing. Returns the highest of what all ranks ask for: then ``course`` says how to go on, to the same bits; 0 at
     the end.
@@ -112,7 +116,7 @@ def dwell(state: State, model: Model, course: Course, backing: float | None, hel
         if unchanged or change * course.left < NOTHING_CHANGES * step:
             course.left = 0.0
         course.number = min(GROWTH * course.number, LONGEST_NUMBER)
-    state.exchange(tuple(n for n in ("temperature", "internal_energy") if n in state.views), asleep=True)
+    state.exchange(("temperature",), asleep=True)
     state.release_work()
     return int(asked) if course.left > 0.0 else 0
 
@@ -154,6 +158,4 @@ class _Work:
             conduction.super_stage(*self._where, weights, gained if j else self.first_gained, self.first_gained,
                                    self.start, self.before, temperature)
         state.exchange(("temperature",), layers=1, asleep=True)
-        change = conduction.add_energy_of_change(*self._where, self.model.bulk.specific_heat, self.start, temperature,
-                                                 state.energy)
-        return stages, change
+        return stages, conduction.largest_change(*self._where, self.start, temperature)

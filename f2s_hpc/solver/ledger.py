@@ -36,9 +36,8 @@ _COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_p
 class Ledger:
     """Cumulative sums of this rank, in quanta; :meth:`totals` adds the ranks."""
 
-    def __init__(self, energy_quantum: float, mass_quantum_kg: float) -> None:
+    def __init__(self, energy_quantum: float) -> None:
         self.energy_quantum = energy_quantum
-        self.mass_quantum_kg = mass_quantum_kg
         self.counts: dict[str, int] = dict.fromkeys(_COUNTS, 0)
 
     def add(self, name: str, quanta: int) -> None:

@@ -13,6 +13,7 @@ from f2s_hpc.solver.absorbing import wave_speeds
 from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import (
     ALL_SYMMETRY,
+    NO_SHOCK_VISCOSITY,
     Setup,
     cell_coordinates,
     make_block,
@@ -27,7 +28,6 @@ from f2s_hpc.verify.setting import Setting, material
 THIN = 3
 """Cells across the directions in which nothing varies."""
 
-_NO_VISCOSITY = ("numerics.shock_viscosity_linear=0", "numerics.shock_viscosity_quadratic=0")
 _LONGITUDINAL, _SHEAR = "longitudinal", "shear"
 FEWEST = 16
 """Cells per wavelength from which on the bars hold."""
@@ -140,7 +140,7 @@ def come_back(side: str, wave: str, degrees: float, cells: float, dx: float, dep
     ``cells`` per wavelength of ``dx`` (m); ``depth``: ``numerics.absorbing_depth``. The box is returned too.
     """
     model = never_yields(make_model(dx, options["material"], overrides=(
-        *_NO_VISCOSITY, f"numerics.absorbing_depth={depth}", *options.numerics)))
+        *NO_SHOCK_VISCOSITY, f"numerics.absorbing_depth={depth}", *options.overrides)))
     packet = Packet(wave, math.radians(degrees), cells, options["strain"])
     speeds = wave_speeds(model)
     speed = speeds[wave == _SHEAR]
@@ -168,8 +168,7 @@ def _run(options: Options) -> Iterator[Measured]:
             near = side == "absorbing" and degrees <= 6.0
             bar = (0.02 if near else 0.03) if level >= FEWEST else None
             yield Measured(name, level, dx, value, theory, value if near else abs(value - theory),
-                           bar, compares=False, steps=setup.clock.steps,
-                           cell_steps=sample.cell_steps(setup.clock), wall_s=watch.read())
+                           bar, compares=False, **sample.cost(setup.clock, watch))
 
 
 _TEXT = """Elastic wave packets that meet an absorbing side (dashpots of Lysmer and Kuhlemeyer 1969) or a fixed one

@@ -34,7 +34,7 @@ REFERENCE_BAR, ENERGY_BAR = 0.03, 0.01
 
 def _model(impact: Impact, options: Options) -> Model:
     """Return the material of the case for the Lagrangian solution; raises ``InputError`` for other pressures."""
-    model = make_model(impact.diameter / 8.0, impact.material, impact.speed, options.numerics)
+    model = make_model(impact.diameter / 8.0, impact.material, impact.speed, options.overrides)
     if not isinstance(model.eos, LinearPressure):
         raise InputError(f"--set material={impact.material}: the Lagrangian solution knows linear pressure only")
     return model
@@ -74,7 +74,7 @@ def run(options: Options) -> Iterator[Measured]:
     yield Measured("energy that the Lagrangian solution leaves unexplained", value=unexplained, reference=0.0,
                    error=abs(unexplained), bar=ENERGY_BAR, **cost)
     for level in options.levels:
-        runs = splats(impact, level, (ADIABATIC, *options.numerics), places_of(options))
+        runs = splats(impact, level, (ADIABATIC, *options.overrides), places_of(options))
         result = mean_splat(runs)
         bars = next((bars for least, bars in BARS if level >= least), {})
         for name, value in _numbers(impact, result).items():

@@ -12,9 +12,10 @@ from f2s_hpc.build import build_ledger, build_model
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles.insert import InsertReport, paint_batch, paint_substrate
 from f2s_hpc.cycles.supply import Supply
+from f2s_hpc.fields import needed
 from f2s_hpc.grid.box import GHOST, SIDES, Box
 from f2s_hpc.grid.decomposition import Decomposition
-from f2s_hpc.materials.params import Elastic
+from f2s_hpc.materials.params import Elastic, MieGrueneisen
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -22,6 +23,7 @@ from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.state import State
 
 ALL_SYMMETRY = dict.fromkeys(SIDES, "symmetry")
+NO_SHOCK_VISCOSITY = ("numerics.shock_viscosity_linear=0", "numerics.shock_viscosity_quadratic=0")
 STANDARD_SIDES = ALL_SYMMETRY | {"z_low": "fixed", "z_high": "fixed"}
 
 _SCENE = """
@@ -116,9 +118,10 @@ def make_setup(cells: Sequence[int], model: Model, spheres: Sequence[tuple[float
     Spheres move at ``velocity`` (m/s) and have ``temperature`` (K); the substrate is at rest at 298.15 K.
     ``grid``: process grid, chosen by the code if not given. Collective.
     """
-    box = Box(tuple(cells), model.dx)
-    state = State(Decomposition(box, grid), sides or STANDARD_SIDES, model.eos._fields != ("bulk_modulus",),
-                  displaced=model.settings.steps_per_remap > 1)
+    box, sides = Box(tuple(cells), model.dx), sides or STANDARD_SIDES
+    fields = needed(isinstance(model.eos, MieGrueneisen), displaced=model.settings.steps_per_remap > 1,
+                    absorbing="absorbing" in sides.values())
+    state = State(Decomposition(box, grid), sides, fields)
     setup = Setup(state, model, build_ledger(model))
     if substrate > 0.0:
         paint_substrate(state, substrate * model.dx, 298.15)

@@ -135,7 +135,7 @@ class Options:
     full: bool
     levels: tuple[float, ...]
     values: dict[str, float | str]
-    numerics: tuple[str, ...] = ()  # "numerics.KEY=value", "material.KEY=value", as f2s run --set takes them
+    overrides: tuple[str, ...] = ()  # "numerics.KEY=value", "material.KEY=value", as f2s run --set takes them
     changed: frozenset[str] = frozenset()
 
     def __getitem__(self, name: str) -> float | str:
@@ -145,7 +145,7 @@ class Options:
         """Tell whether this is the problem that a published reference is of: all settings but the ``free`` ones are the
         case's own, and no constant of its material is replaced. Numerics may be: they are what is judged.
         """
-        return self.changed <= set(free) and not any(o.strip().startswith(MATERIAL) for o in self.numerics)
+        return self.changed <= set(free) and not any(o.strip().startswith(MATERIAL) for o in self.overrides)
 
 
 def judged(case: str, measured: list[Measured]) -> list[Row]:

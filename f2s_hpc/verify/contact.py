@@ -11,10 +11,10 @@ from f2s_hpc import mpi
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.insert import paint_batch
 from f2s_hpc.particles.batch import Batch
-from f2s_hpc.verify import energy
+from f2s_hpc.verify import energy, sample
 from f2s_hpc.verify.box import ALL_SYMMETRY, Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.scenes import cell_steps, empty_setup, write_scene
+from f2s_hpc.verify.scenes import empty_setup, write_scene
 from f2s_hpc.verify.setting import Setting, material
 from f2s_hpc.verify.shapes import paint_slab
 
@@ -36,7 +36,7 @@ def _empty(cells: tuple[int, int, int], dx: float, options: Options) -> Setup:
     """Return an empty box between mirrors; the scene's own sphere is not painted."""
     top = 0.5 * min(cells) * dx
     return empty_setup(write_scene(cells, dx, options["material"], options["speed"], 1e-6, spheres=[(0, 0, top, top)],
-                                   faces=ALL_SYMMETRY, overrides=options.numerics))
+                                   faces=ALL_SYMMETRY, overrides=options.overrides))
 
 
 def _heights(setup: Setup) -> tuple[float, float, float]:
@@ -75,10 +75,6 @@ def _compression(setup: Setup) -> float:
     return 1.0 + float(sum_of_pressure / volume) / setup.model.bulk.bulk_modulus
 
 
-def _cost(setup: Setup, watch: Stopwatch) -> dict:
-    return {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
-
-
 # --- two blocks -------------------------------------------------------------------------------------------------
 
 
@@ -99,7 +95,7 @@ def run_blocks(options: Options) -> Iterator[Measured]:
         time = options["gap"] / options["speed"] + 0.5 * options["height"] / setup.model.sound
         setup.advance_to(time)
         surface, fraction, mass = _heights(setup)
-        cost, bar = _cost(setup, watch), TALLEST_VOID if level >= FEWEST else None
+        cost, bar = sample.cost(setup.clock, watch), TALLEST_VOID if level >= FEWEST else None
         void = (surface - fraction) / (2.0 * level)
         yield Measured("void left / height", level, dx, void, 0.0, abs(void), bar, **cost)
         extra = _strain_of_contact(setup, level)
@@ -144,7 +140,7 @@ def run_gap(options: Options) -> Iterator[Measured]:
         for offset in (0.0, 0.2, 0.4, 0.6, 0.8):
             gap, setup = _felt_gap(options, level, offset)
             gaps.append(gap)
-        cost, dx = _cost(setup, watch), options["height"] / level
+        cost, dx = sample.cost(setup.clock, watch), options["height"] / level
         for quantity, gap in (("largest gap felt, cells", max(gaps)), ("mean gap felt, cells", sum(gaps) / len(gaps))):
             yield Measured(quantity, level, dx, gap, 0.0, abs(gap), compares=False, **cost)
 
@@ -170,7 +166,7 @@ def run_spheres(options: Options) -> Iterator[Measured]:
         setup.advance_to(2.0 * (before - mass) * dx / options["speed"])
         surface, fraction, mass = _heights(setup)
         dense = mass / _compression(setup)  # the block still presses
-        cost = _cost(setup, watch)
+        cost = sample.cost(setup.clock, watch)
         void = (surface - fraction) / surface
         start = (before - mass) / before
         yield Measured("void fraction before", level, dx, start, None, 0.0, compares=False, **cost)

@@ -12,10 +12,11 @@ from f2s_hpc import mpi
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
-from f2s_hpc.verify import energy
+from f2s_hpc.units import ZERO_CELSIUS
+from f2s_hpc.verify import energy, sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.scenes import cell_steps, prepare, run_cycles
+from f2s_hpc.verify.scenes import prepare, run_cycles
 from f2s_hpc.verify.setting import WHOLE, Setting
 
 LENGTH = 30e-6
@@ -24,7 +25,6 @@ LENGTH = 30e-6
 RESOLVED = 5.0
 """Cells per 30 um from which on there are bars; coarser meshes show the way there."""
 
-_ZERO_CELSIUS = 273.15
 _SECTION4_FOOTPRINT = 0.35e-3
 _SECTION4_PARTICLES = 500
 _QUICKSTART_FOOTPRINT = 0.12e-3
@@ -43,7 +43,7 @@ def deposit_temperature(setup: Setup, scene: Scene) -> float:
     mass = state.owned("mass")[deposit]
     local = np.array([mass.sum(), mass @ state.owned("temperature")[deposit]])
     whole, heat = sum(mpi.all_gather(local))
-    return float(heat / whole) - _ZERO_CELSIUS if whole > 0.0 else math.nan
+    return float(heat / whole) - ZERO_CELSIUS if whole > 0.0 else math.nan
 
 
 def footprint_of(options: Options) -> float:
@@ -60,7 +60,7 @@ def patch_scene(options: Options, dx: float) -> Scene:
         f"domain.cell_size={dx!r} m", f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.3 mm"]',
         f"batches.particles={particles}", f"cycles.count={options['cycles']}",
         f"particles.speed={options['speed']!r} m/s", f"particles.temperature={options['temperature']!r} K",
-        f"batches.seed={options['seed']}", *options.numerics])
+        f"batches.seed={options['seed']}", *options.overrides])
 
 
 def section4_scene(options: Options, dx: float) -> Scene:
@@ -72,7 +72,7 @@ def section4_scene(options: Options, dx: float) -> Scene:
         particles = round(_SECTION4_PARTICLES * (footprint / _SECTION4_FOOTPRINT) ** 2)
         overrides += [f'domain.size=["{footprint!r} m", "{footprint!r} m", "0.4 mm"]', f"batches.particles={particles}",
                       "batches.diameter_max=60 um"]
-    return load_scene("section4", [*overrides, *options.numerics])
+    return load_scene("section4", [*overrides, *options.overrides])
 
 
 def _deposited(scene: Scene) -> tuple[Setup, int]:
@@ -98,7 +98,7 @@ def run_patch(options: Options) -> Iterator[Measured]:
         setup, substrate_quanta = _deposited(scene)
         found.append(deposit_temperature(setup, scene))
         balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
-        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        cost = sample.cost(setup.clock, watch)
         # (the bar is that there is a deposit at all)
         yield Measured("mean deposit temperature, degC", level, dx, found[-1], None, 0.0,
                        None if math.isfinite(found[-1]) else 0.0, compares=False, **cost)
@@ -122,7 +122,7 @@ def run_section4(options: Options) -> Iterator[Measured]:
         setup, substrate_quanta = _deposited(scene)
         balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
         loss = balance["numerical_loss_fraction"]
-        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        cost = sample.cost(setup.clock, watch)
         bar = next((bar for largest, bar in _LOSS_BARS if dx <= largest * (1.0 + 1e-9)), None)
         yield Measured("numerical loss", level, dx, loss, 0.0, loss, bar, **cost)
         unheated = balance["numerical_loss_unheated_fraction"]

@@ -30,7 +30,7 @@ _MORE = 1.1
 
 
 def _check_slab(options: Options) -> None:
-    model = make_model(1e-6, options["material"], overrides=options.numerics)
+    model = make_model(1e-6, options["material"], overrides=options.overrides)
     if not (model.settings.conduction and model.bulk.conductivity > 0.0):
         raise InputError("heat-slab: without conduction there is nothing to compare; it needs numerics.conduction = "
                          "true and material.conductivity above 0 W/m/K")
@@ -43,7 +43,7 @@ def _slab_model(options: Options, cells: int, number: float = math.inf) -> tuple
 
     It moves once between two remaps: dt = number dx^2 / D, in so many steps of sound dt = courant dx / c.
     """
-    model = make_model(options["thickness"] / cells, options["material"], overrides=options.numerics)
+    model = make_model(options["thickness"] / cells, options["material"], overrides=options.overrides)
     per_courant = model.settings.steps_per_remap * diffusivity(model) / (model.sound * model.dx)
     courant = min(model.settings.courant, number / per_courant)
     return model._replace(settings=model.settings._replace(courant=courant)), courant * per_courant
@@ -71,7 +71,7 @@ def _slab(options: Options) -> Iterator[Measured]:
         # central differences see k^2 (1 - (k dx)^2 / 12)
         bar = _MORE * options["decay"] * math.exp(-options["decay"]) * (math.pi / cells) ** 2 / 12.0
         yield Measured("temperature, L2", level, model.dx, error, 0.0, error, bar, 1.8 if number else None,
-                       steps=setup.clock.steps, cell_steps=sample.cell_steps(setup.clock), wall_s=watch.read())
+                       **sample.cost(setup.clock, watch))
 
 
 def mean_stress(old: float, new: float, plastic: float, strain: float, shear_modulus: float) -> float:
@@ -86,7 +86,7 @@ def mean_stress(old: float, new: float, plastic: float, strain: float, shear_mod
 
 
 def _check_plastic(options: Options) -> None:
-    model = make_model(1e-6, options["material"], overrides=options.numerics)
+    model = make_model(1e-6, options["material"], overrides=options.overrides)
     if isinstance(model.flow, Elastic) or not model.bulk.taylor_quinney > 0.0:
         raise InputError("plastic-heating: no plastic work becomes heat; it needs a flow stress and "
                          "material.taylor_quinney above 0")
@@ -94,7 +94,7 @@ def _check_plastic(options: Options) -> None:
 
 def _plastic(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
-        model = make_model(1e-6, options["material"], overrides=options.numerics)
+        model = make_model(1e-6, options["material"], overrides=options.overrides)
         # energies are counted in quanta that suit the whole box: here it is a few cells
         model = model._replace(energy_quantum=model.energy_quantum * THIN**3 * model.dx**3 / 1e-9)
         bulk, start = model.bulk, options["temperature"]
@@ -114,7 +114,7 @@ def _plastic(options: Options) -> Iterator[Measured]:
         warmer = bulk.taylor_quinney / (bulk.density * bulk.specific_heat)
         rise = float(state.owned("temperature")[0, 0, 0]) - start
         spread = float(sample.largest(np.abs(state.owned("temperature") - start - rise).max()))
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         error = float(np.maximum(abs(rise / (warmer * work) - 1.0), spread / rise))
         yield Measured("temperature rise, sum of stress times strain (K)", level, step, rise, warmer * work, error,
                        1e-12 * max(1.0, start / rise), compares=False, **spent)

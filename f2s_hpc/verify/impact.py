@@ -82,7 +82,7 @@ def places_of(options: Options) -> int:
 def check_scenes(options: Options, **changed: float) -> None:
     """Raise ``InputError`` if the scene of one of the resolutions is not possible; ``changed`` as in ``impact_of``."""
     for level in options.levels:
-        splat_scene(impact_of(options, **changed), level, options.numerics)
+        splat_scene(impact_of(options, **changed), level, options.overrides)
 
 
 # --- against the published series -------------------------------------------------------------------------------
@@ -119,7 +119,7 @@ def run_published(options: Options) -> Iterator[Measured]:
         flattening, crater, peeq, temperature = PUBLISHED[speed]
         for level in options.levels:
             impact = impact_of(options, speed=speed)
-            runs = splats(impact, level, (ADIABATIC, *options.numerics), places_of(options))
+            runs = splats(impact, level, (ADIABATIC, *options.overrides), places_of(options))
             result = mean_splat(runs)
             # the bar is for the published resolution; what is coarser shows the way there
             bar = 0.06 if level >= PUBLISHED_CELLS else None
@@ -203,7 +203,7 @@ def run_convergence(options: Options) -> Iterator[Measured]:
 
     The bar is on the order of the fit: errors against the finest run fall even where the values run away.
     """
-    runs = [splats(impact_of(options), level, options.numerics, places_of(options)) for level in options.levels]
+    runs = [splats(impact_of(options), level, options.overrides, places_of(options)) for level in options.levels]
     results = [mean_splat(single) for single in runs]
     for single, mean, level in zip(runs, results, options.levels):
         yield from _scatters(single, mean, level)
@@ -245,7 +245,7 @@ def check_paper_cells(options: Options) -> None:
     """Raise ``InputError`` if one of the scenes is not possible."""
     for _, impact, levels in _paper_impacts(options):
         for level in (*levels, options.levels[-1]):
-            splat_scene(impact, level, options.numerics)
+            splat_scene(impact, level, options.overrides)
 
 
 def run_paper_cells(options: Options) -> Iterator[Measured]:
@@ -256,9 +256,9 @@ def run_paper_cells(options: Options) -> Iterator[Measured]:
     """
     fine, places = options.levels[-1], places_of(options)
     for name, impact, levels in _paper_impacts(options):
-        reference = _lengths(mean_splat(splats(impact, fine, options.numerics, places)), impact.diameter)
+        reference = _lengths(mean_splat(splats(impact, fine, options.overrides, places)), impact.diameter)
         for level in levels:
-            runs = splats(impact, level, options.numerics, places)
+            runs = splats(impact, level, options.overrides, places)
             result = mean_splat(runs)
             for quantity, value in _lengths(result, impact.diameter).items():
                 yield Measured(f"{quantity}, {name}", level, result.dx, value, reference[quantity],
@@ -281,7 +281,7 @@ def run_energy(options: Options) -> Iterator[Measured]:
     impact, coarser = impact_of(options), {}
     halved = [level for level in options.levels if level >= LEAST_CELLS][:HALVED]
     for level in options.levels:
-        result = splat(impact, level, options.numerics)
+        result = splat(impact, level, options.overrides)
         share = {name: result.balance["energy"][name] / result.balance["energy"]["brought_in"]
                  for name in ENERGY_TERMS}
         yield from _shares(result, level, share, coarser)
@@ -309,7 +309,7 @@ def _remainder_falls(impact: Impact, result: Splat, level: float, options: Optio
     """
     limits = ("courant", "remap_courant", "strain_per_step", "strain_per_remap")
     halves = (f"numerics.{name}={0.5 * getattr(result.settings, name)!r}" for name in limits)
-    halved = splat(impact, level, (*options.numerics, *halves))
+    halved = splat(impact, level, (*options.overrides, *halves))
     before, after = (abs(energy.unexplained(run.balance)) for run in (result, halved))
     ratio = after / before if before else math.inf if after else 0.0
     judged = max(before, after) > _CANCELLED

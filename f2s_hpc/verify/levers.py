@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.config.load import load_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
+from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
 from f2s_hpc.verify.scenes import prepare, run_cycles
@@ -116,7 +118,7 @@ def _compared(name: str, run: _Measured, full: _Measured) -> Saving:
     whole = sum(mpi.all_gather(float(full.fraction.sum())))
     clock = run.setup.clock
     return Saving(
-        name, run.wall, run.memory, clock.steps, int(mpi.total(np.int64(clock.active_cell_steps))),
+        name, run.wall, run.memory, clock.steps, sample.cell_steps(clock),
         run.wall / full.wall, run.memory / max(full.memory, 1), change("height_mean_m"), change("height_p95_m"),
         change("peeq_p50"), change("peeq_p95"), change("temperature_p50_degC"), change("temperature_p95_degC"),
         moved / whole if alike else None)
@@ -163,5 +165,4 @@ def table(savings: list[Saving]) -> str:
 
     lines = [[head for _, head, _, _ in COLUMNS]]
     lines += [[text(s, name, scale, form) for name, _, scale, form in COLUMNS] for s in savings]
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines)
+    return "\n".join(aligned(lines, left=range(len(COLUMNS))))

@@ -10,10 +10,9 @@ from f2s_hpc.config.messages import did_you_mean
 from f2s_hpc.errors import InputError
 from f2s_hpc.materials import library
 from f2s_hpc.materials.flow_stress import flow_stress
+from f2s_hpc.units import ZERO_CELSIUS
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import MATERIAL, Case, Measured, Options, Stopwatch
-
-ZERO_CELSIUS = 273.15
 
 GE_VALUES = (
     (0.0, 1e-4, 25.0, 39.000000), (0.0, 1e7, 25.0, 799.083339), (0.1, 1e-4, 25.0, 163.494446),
@@ -53,7 +52,7 @@ def check_models(models: Sequence[tuple[str, str]], options: Options) -> None:
     """Raise ``InputError`` for overrides that none of ``models`` (name, material) has, or that replace one of them."""
     constants = [name for _, material in models for name in library.entry(material)["flow_stress"]]
     known = dict.fromkeys(f"{_FLOW}.{name}" for name in constants if name != "model")
-    for override in options.numerics:
+    for override in options.overrides:
         key = _key(override)
         if key in (_FLOW, f"{_FLOW}.model", f"{MATERIAL}name"):
             raise InputError(f"--set {key}: this case is about the models {', '.join(name for name, _ in models)}; "
@@ -61,7 +60,7 @@ def check_models(models: Sequence[tuple[str, str]], options: Options) -> None:
         if key.startswith(_FLOW) and key not in known:
             raise InputError(f'--set {key}: unknown key "{key}"; {did_you_mean(key, known)}')
     for _, material in models:
-        make_model(1e-6, material, overrides=reaching(material, options.numerics))
+        make_model(1e-6, material, overrides=reaching(material, options.overrides))
 
 
 def _check(options: Options) -> None:
@@ -74,7 +73,7 @@ def _tables(options: Options) -> list[tuple[str, tuple, list[tuple[float, ...]]]
               "Johnson-Cook": [(e, r, t, 1e6 * s) for e, r, t, s in JOHNSON_COOK_VALUES]}
     tables = []
     for name, material in MODELS:
-        overrides = reaching(material, options.numerics)
+        overrides = reaching(material, options.overrides)
         tabulated = not any(_key(o).startswith(_FLOW) for o in overrides)
         tables.append((name, make_model(1e-6, material, overrides=overrides).flow, points[name] if tabulated else []))
     return tables

@@ -9,7 +9,7 @@ import numpy as np
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import InputError
-from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.fields import STRESS, STRESS_PLACES, VELOCITY
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.materials.flow_stress import flow_stress
 from f2s_hpc.solver import lagrange
@@ -34,7 +34,6 @@ from f2s_hpc.verify.setting import TEXT, Setting, material
 THIN = 3
 DIRECTIONS = ((0.0, 0.0, -1.0), (1.0, 1.0, -1.0), (1.0, 0.0, 0.0), (1.0, 2.0, 3.0))
 _STRESS_TENSOR = np.array([[1.0, 0.5, 0.0], [0.5, -0.4, 0.0], [0.0, 0.0, -0.6]])
-_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 _FLIGHT = {"velocity": 1e-9, "stress": 1e-9, "temperature": 1e-9, "PEEQ": 0.0, "mass": 1e-12}
 """What a flight must not change, and the bars."""
 
@@ -112,7 +111,7 @@ def _centroid(setup: Setup) -> np.ndarray:
 
 def _free_flight(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
-        model = make_model(options["diameter"] / level, options["material"], options["speed"], options.numerics)
+        model = make_model(options["diameter"] / level, options["material"], options["speed"], options.overrides)
         warm_up(model)
         watch, worst, steps, cell_steps = Stopwatch(), np.zeros(len(_FLIGHT) + 1), 0, 0
         for direction in _directions(options["direction"], number, options.full):
@@ -147,7 +146,7 @@ def _rotating_block(model: Model, width: int, amplitude: float) -> tuple[Setup, 
     for name, value in (("mass", 1.0), ("volume_fraction", 1.0), ("temperature", 298.15)):
         state.views[name][inside] = value
     factor = amplitude * _pattern(x / width, y / width)
-    for name, place in zip(STRESS, _PLACES):
+    for name, place in zip(STRESS, STRESS_PLACES):
         state.views[name][...] = np.where(inside, factor * _STRESS_TENSOR[place], 0.0)
     state.exchange(state.ghosted)
     setup.activate()
@@ -199,7 +198,7 @@ def _off_turned(setup: Setup, width: int, amplitude: float, angle: float) -> np.
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     turned, factor = turn @ _STRESS_TENSOR @ turn.T, amplitude * _pattern(x / width, y / width)
     off, whole = 0.0, 0.0
-    for name, place in zip(STRESS, _PLACES):
+    for name, place in zip(STRESS, STRESS_PLACES):
         exact, twice = factor * turned[place], 1.0 if place[0] == place[1] else 2.0
         off += twice * np.abs(state.owned(name) - exact)[inside].sum()
         whole += twice * np.abs(exact)[inside].sum()
@@ -209,7 +208,7 @@ def _off_turned(setup: Setup, width: int, amplitude: float, angle: float) -> np.
 def _rotation(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
         width = round(level)
-        model = make_model(options["width"] / width, options["material"], overrides=options.numerics)
+        model = make_model(options["width"] / width, options["material"], overrides=options.overrides)
         model = never_yields(model)
         warm_up(model)
         watch = Stopwatch()
@@ -231,7 +230,8 @@ def _rotation(options: Options) -> Iterator[Measured]:
         shares += [np.abs(b)[both].sum() for b in before]
         shares += [np.abs(end[6] - start[6]).sum(), start[6].sum(), end[6].sum()]
         total = sample.sums(shares)
-        spent = {"steps": steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        setup.clock.steps = steps
+        spent = sample.cost(setup.clock, watch)
         errors = (*(total[:2] / total[2:4]), off / whole)
         for quantity, error in zip(("von Mises stress, L1", "third invariant, L1", _EIGHTH), errors):
             yield Measured(quantity, level, model.dx, float(error), 0.0, float(error),
@@ -262,7 +262,7 @@ def shear_step(setup: Setup, rate: float, dt: float) -> None:
 
 def _simple_shear(options: Options) -> Iterator[Measured]:
     for number, level in enumerate(options.levels):
-        model = never_yields(make_model(1e-6, options["material"], overrides=options.numerics))
+        model = never_yields(make_model(1e-6, options["material"], overrides=options.overrides))
         warm_up(model)
         watch = Stopwatch()
         setup = few_cells(model)
@@ -275,7 +275,7 @@ def _simple_shear(options: Options) -> Iterator[Measured]:
                    for name, value in zip(("stress_xx", "stress_yy", "stress_xy"), exact)]
             worst = np.maximum(worst, off)
         worst = sample.largest(worst)
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         finest = number == len(options.levels) - 1
         for quantity, error in zip(("stress xx", "stress yy", "stress xy"), worst):
             yield Measured(quantity, level, step, float(error), 0.0, float(error), 1e-6 if finest else None, **spent)

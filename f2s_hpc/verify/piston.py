@@ -177,7 +177,7 @@ def _run_level(cells: int, model: Model, piston: float, waves: tuple[Wave, Wave]
 
 def _solved(options: Options, dx: float) -> tuple[Model, tuple[Wave, Wave]]:
     """Return the model with cells of ``dx`` (m) and its exact waves. Raises ``InputError`` where there are none."""
-    model = make_model(dx, options["material"], options["speed"], options.numerics)
+    model = make_model(dx, options["material"], options["speed"], options.overrides)
     if not (isinstance(model.eos, MieGrueneisen) and isinstance(model.flow, LinearHardening)
             and model.flow.modulus == 0.0):
         raise InputError(f"material={options['material']}: the exact solution needs Mie-Grueneisen pressure and "
@@ -199,7 +199,7 @@ def _run(options: Options) -> Iterator[Measured]:
         warm_up(model)
         watch = Stopwatch()
         found, largest, setup = _run_level(cells, model, piston, waves, end)
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         asked = cells >= PUBLISHED_CELLS
         for quantity, value, reference in found:
             error = abs(value / reference - 1.0) if math.isfinite(value) else math.inf

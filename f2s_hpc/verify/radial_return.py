@@ -10,13 +10,13 @@ import numpy as np
 
 from f2s_hpc.materials.flow_stress import MAX_ITERATIONS, return_map
 from f2s_hpc.materials.params import Ge, JohnsonCook
+from f2s_hpc.units import ZERO_CELSIUS
 from f2s_hpc.verify.box import make_model
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
 from f2s_hpc.verify.material import check_models, reaching
 from f2s_hpc.verify.setting import Setting
 
 SEED = 20240501
-ZERO_CELSIUS = 273.15
 Extended = np.longdouble
 MODELS = (("Ge", "copper-ge"), ("Johnson-Cook", "copper-johnson-cook"), ("linear hardening", "copper-taylor"))
 
@@ -135,7 +135,7 @@ def _check(options: Options) -> None:
 
 def _run(options: Options) -> Iterator[Measured]:
     for name, material in MODELS:
-        model = make_model(1e-6, material, overrides=reaching(material, options.numerics))
+        model = make_model(1e-6, material, overrides=reaching(material, options.overrides))
         shear = model.bulk.shear_modulus
         for level in options.levels:
             states = random_states(model.flow, shear, round(level), options["trial"])

@@ -13,11 +13,6 @@ from f2s_hpc.verify import extreme, fuzz, levers, watch
 QUICK_FUZZ, FULL_FUZZ = 8, 300
 
 
-def _say(text: str) -> None:
-    if mpi.is_root():
-        print(text, flush=True)
-
-
 def _write(json_file: str | os.PathLike | None, rows: Sequence) -> None:
     """Write rows of a dataclass as a JSON list. Collective; raises ``InputError`` on all ranks."""
     if json_file is not None:
@@ -40,10 +35,10 @@ def stability(full: bool, overrides: Sequence[str], scenes: int | None, seed: in
     """
     extreme.check(overrides)
     _test_place(json_file)
-    outcomes = extreme.run(full, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
+    outcomes = extreme.run(full, overrides, report=lambda o: mpi.say(f"{o.scene}: {o.verdict} {o.reason}"))
     count = (FULL_FUZZ if full else QUICK_FUZZ) if scenes is None else scenes
-    outcomes += fuzz.run(count, seed, overrides, report=lambda o: _say(f"{o.scene}: {o.verdict} {o.reason}"))
-    _say("\n" + watch.table(outcomes))
+    outcomes += fuzz.run(count, seed, overrides, report=lambda o: mpi.say(f"{o.scene}: {o.verdict} {o.reason}"))
+    mpi.say("\n" + watch.table(outcomes))
     _write(json_file, outcomes)
     return 0 if all(outcome.passed for outcome in outcomes) else 1
 
@@ -52,6 +47,6 @@ def savings(full: bool, overrides: Sequence[str], json_file: str | os.PathLike |
     """Print what each lever saves and what it changes against the full computation; return 0. Collective."""
     _test_place(json_file)
     rows = levers.run(full, overrides)
-    _say(levers.table(rows))
+    mpi.say(levers.table(rows))
     _write(json_file, rows)
     return 0

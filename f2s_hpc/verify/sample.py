@@ -9,6 +9,7 @@ import numpy as np
 from f2s_hpc import mpi
 from f2s_hpc.solver.step import Clock
 from f2s_hpc.state import State
+from f2s_hpc.verify.case import Stopwatch
 
 
 def sums(values: Sequence[float]) -> np.ndarray:
@@ -41,3 +42,8 @@ def along_x(state: State, values: np.ndarray) -> np.ndarray:
 def cell_steps(clock: Clock) -> int:
     """Return the active cells of all steps and all ranks."""
     return int(mpi.total(np.int64(clock.active_cell_steps)))
+
+
+def cost(clock: Clock, watch: Stopwatch) -> dict:
+    """Return steps, active cell-steps of all ranks and wall time (s) so far, named as in ``Measured``. Collective."""
+    return {"steps": clock.steps, "cell_steps": cell_steps(clock), "wall_s": watch.read()}

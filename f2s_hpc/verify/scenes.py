@@ -98,8 +98,3 @@ def run_cycles(scene: Scene, plan: BatchPlan, setup: Setup, run: Callable[[float
         setup.report, _ = setup.supply.insert(cycle)
         run(duration)
         clock.cycle_start, clock.in_cycle = clock.cycle_start + duration, 0.0
-
-
-def cell_steps(setup: Setup) -> int:
-    """Return the active cell-steps of all ranks so far."""
-    return sum(mpi.all_gather(setup.clock.active_cell_steps))

@@ -22,7 +22,7 @@ _COURANT = {False: (0.7, 0.9), True: (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.
 _REMAP = {False: (0.25, 0.45), True: (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95)}
 
 
-def head_on(name: str, text: str, overrides: tuple[str, ...] = ()) -> Outcome:
+def head_on(name: str, text: str, overrides: tuple[str, ...]) -> Outcome:
     """Run two spheres against each other: the first of the scene flies up, the second down, each at its speed."""
     scene = parse_scene(text, name, overrides)
     setup, plan = prepare(scene)

@@ -18,9 +18,10 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.fields import ORIGIN
 from f2s_hpc.solver.model import Settings
+from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Stopwatch
-from f2s_hpc.verify.scenes import cell_steps, scene_setup, write_scene
+from f2s_hpc.verify.scenes import scene_setup, write_scene
 
 LEAST_SHARE = 0.01
 """Cells with less of the particle do not count in percentiles over its volume, as in the published series."""
@@ -103,7 +104,7 @@ def splat(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = 
     balance = measure.measure_balance(setup.state, setup.model, setup.ledger, substrate_quanta)
     return Splat(setup.model.dx, height_start, height, width, surface - _interface(setup), peeq_p95(setup),
                  peeqvavg_p95(setup), _peeq_mean(setup), _temperature_p95(setup), balance, setup.model.settings,
-                 setup.clock.steps, cell_steps(setup), watch.read())
+                 setup.clock.steps, sample.cell_steps(setup.clock), watch.read())
 
 
 def splat_scene(impact: Impact, cells_per_diameter: float, overrides: Sequence[str] = (),

@@ -39,7 +39,8 @@ def verify(names: Sequence[str], overrides: Sequence[str], full: bool, out: str 
     before anything runs.
     """
     cases = find(names)
-    runs = [(case, _options(case, full, overrides)) for case in _checked(cases, overrides)]
+    _check_overrides(cases, overrides)
+    runs = [(case, _options(case, full, overrides)) for case in cases]
     for case, options in runs:
         _check(case, options)
     folder = pathlib.Path(out)
@@ -48,14 +49,14 @@ def verify(names: Sequence[str], overrides: Sequence[str], full: bool, out: str 
     for case, options in runs:
         rows = [as_dict(row) for row in run_case(case, options)]
         all_rows += rows
-        _say(case_table(case.name, case.text, rows) + "\n")
+        mpi.say(case_table(case.name, case.text, rows) + "\n")
         mpi.run_together(_write_case, folder, case, rows)
         if json_file is not None:
             # after every case, so that a long job that is cut off leaves what it had
             mpi.run_together(_write_json, pathlib.Path(json_file), all_rows)
-    _say(overview_table(all_rows))
+    mpi.say(overview_table(all_rows))
     mpi.run_together(draw_overview, all_rows, folder / "overview.png")
-    _say(f"tables and plots: {folder}")
+    mpi.say(f"tables and plots: {folder}")
     return 1 if any(row["passed"] is False for row in all_rows) else 0
 
 
@@ -117,8 +118,8 @@ def as_dict(row: Row) -> dict[str, Any]:
             "compares": m.compares}
 
 
-def _checked(cases: list[Case], overrides: Sequence[str]) -> list[Case]:
-    """Return ``cases``; raise ``InputError`` for an override that none of them knows or whose value is wrong."""
+def _check_overrides(cases: list[Case], overrides: Sequence[str]) -> None:
+    """Raise ``InputError`` for an override that none of the cases knows."""
     known = dict.fromkeys(name for case in cases for name in (*case.settings, "resolutions"))
     for override in overrides:
         name, equals, _ = override.partition("=")
@@ -128,15 +129,14 @@ def _checked(cases: list[Case], overrides: Sequence[str]) -> list[Case]:
             who = f'case "{cases[0].name}" has' if len(cases) == 1 else "the chosen cases have"
             raise InputError(f'--set {override}: {who} no setting "{name.strip()}"; '
                              f'{did_you_mean(name.strip(), known)}')
-    return cases
 
 
 def _check(case: Case, options: Options) -> None:
     """Raise ``InputError`` for options that ``case`` can not run with: now, not after an hour of others."""
     if MATERIAL_NAME in options.values:
-        make_model(1e-6, options[MATERIAL_NAME], overrides=options.numerics)
+        make_model(1e-6, options[MATERIAL_NAME], overrides=options.overrides)
     else:
-        make_model(1e-6, overrides=[o for o in options.numerics if not o.strip().startswith(MATERIAL)])
+        make_model(1e-6, overrides=[o for o in options.overrides if not o.strip().startswith(MATERIAL)])
     case.check(options)
 
 
@@ -172,8 +172,3 @@ def _write_case(folder: pathlib.Path, case: Case, rows: list[dict[str, Any]]) ->
 
 def _write_json(path: pathlib.Path, rows: list[dict[str, Any]]) -> None:
     places.write_text(path, json.dumps([_finite(row) for row in rows], indent=1, allow_nan=False) + "\n")
-
-
-def _say(text: str) -> None:
-    if mpi.is_root():
-        print(text, flush=True)

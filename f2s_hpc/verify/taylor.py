@@ -13,10 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from f2s_hpc import mpi
-from f2s_hpc.verify import energy
+from f2s_hpc.verify import energy, sample
 from f2s_hpc.verify.box import Setup
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
-from f2s_hpc.verify.scenes import cell_steps, empty_setup, write_scene
+from f2s_hpc.verify.scenes import empty_setup, write_scene
 from f2s_hpc.verify.setting import Setting, material
 from f2s_hpc.verify.shapes import paint_cylinder
 
@@ -57,7 +57,7 @@ def make_bar(options: Options, cells_per_radius: float) -> Setup:
     # the scene's own sphere is not painted; it only says how fast particles are
     scene = write_scene(
         (width, width, height), dx, options["material"], options["speed"], 1e-3, spheres=[(0.0, 0.0, radius, radius)],
-        faces=_FACES, overrides=("numerics.conduction=false", _NO_SPALL, *_NO_LIMIT, *options.numerics))
+        faces=_FACES, overrides=("numerics.conduction=false", _NO_SPALL, *_NO_LIMIT, *options.overrides))
     setup = empty_setup(scene)
     paint_cylinder(setup, cells_per_radius, 0.0, length / dx, (0.0, 0.0, -options["speed"]), 298.15)
     return setup
@@ -103,7 +103,7 @@ def run(options: Options) -> Iterator[Measured]:
             radius, on_axis, length = shape(setup)
             worst_radius = np.maximum(worst_radius, abs(radius / (0.5e-3 * (r1 + r2)) - 1.0))
             worst_length = np.maximum(worst_length, abs(length / (0.5e-3 * (l1 + l2)) - 1.0))
-        cost = {"steps": setup.clock.steps, "cell_steps": cell_steps(setup), "wall_s": watch.read()}
+        cost = sample.cost(setup.clock, watch)
         final = (("final length", length, FINAL_LENGTH, 0.005), ("foot radius", radius, FINAL_RADIUS, 0.015),
                  ("foot radius along an axis", on_axis, FINAL_RADIUS, None))
         for quantity, value, reference, bar in final:

@@ -102,7 +102,7 @@ def _rows(level: float, h: float, setup: Setup, before: np.ndarray, watch: Stopw
     after, mass = state.owned("volume_fraction"), state.owned("mass")
     change, start, end, carried = sample.sums([np.abs(after - before).sum(), before.sum(), after.sum(), mass.sum()])
     over = float(sample.largest(mass.max(initial=0.0))) - 1.0
-    spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+    spent = sample.cost(setup.clock, watch)
     per_cell = h**3 / thickness
     dx = setup.model.dx
     yield Measured("E1", level, dx, change * per_cell, published, change * per_cell, bar, **spent)
@@ -121,7 +121,7 @@ def _leveque(options: Options) -> Iterator[Measured]:
     for level in options.levels:
         cells = round(level)
         h = 1.0 / cells
-        model = make_model(h, overrides=options.numerics)
+        model = make_model(h, overrides=options.overrides)
         warm_up(model)
         watch = Stopwatch()
         setup = make_setup((cells, cells, cells), model, [(0.35 * cells,) * 3 + (0.15 * cells,)], sides=ALL_SYMMETRY)
@@ -135,7 +135,7 @@ def _reversed(options: Options) -> Iterator[Measured]:
     for level in options.levels:
         cells = round(level)
         h = 1.0 / cells
-        model = make_model(h, overrides=options.numerics)
+        model = make_model(h, overrides=options.overrides)
         warm_up(model)
         watch = Stopwatch()
         setup = make_setup((cells, cells, THIN), model, sides=ALL_SYMMETRY)

@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from f2s_hpc import mpi
+from f2s_hpc.analysis.table import aligned
 from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.flight import NO_ROOM
@@ -212,7 +213,7 @@ class Watch:
             float(mpi.maximum(clock.fastest_heavy)) / self.speed if self.speed else 0.0, self.peeq_max,
             self.temperature_max, self.mass_drift, self.energy_rise,
             int(mpi.total(np.int64(self.setup.ledger.counts["nodes_capped"]))),
-            int(mpi.total(np.int64(clock.active_cell_steps))), float(mpi.broadcast(wall)))
+            sample.cell_steps(clock), float(mpi.broadcast(wall)))
 
 
 def judge(name: str, watch: Watch, task: Callable[[], None]) -> Outcome:
@@ -239,7 +240,7 @@ def judge(name: str, watch: Watch, task: Callable[[], None]) -> Outcome:
     return watch.outcome(name, verdict, reason, stopwatch.read())
 
 
-def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int = 20) -> Outcome:
+def run_scene(name: str, text: str, overrides: Sequence[str] = ()) -> Outcome:
     """Run the scene written in ``text`` (TOML) with ``overrides`` ("key.path=value") to its end. Collective."""
     try:
         scene = parse_scene(text, name, overrides)
@@ -249,7 +250,7 @@ def run_scene(name: str, text: str, overrides: Sequence[str] = (), interval: int
     except InputError as error:
         return Outcome(name, REFUSED, str(error))
     watch = Watch(setup, scene.top_speed)
-    return judge(name, watch, lambda: run_cycles(scene, plan, setup, lambda end: watch.run(end, interval)))
+    return judge(name, watch, lambda: run_cycles(scene, plan, setup, watch.run))
 
 
 COLUMNS = (
@@ -263,7 +264,5 @@ def table(outcomes: list[Outcome]) -> str:
     """Return the outcomes as a table, with the number of each verdict below."""
     lines = [[head for _, head, _ in COLUMNS]]
     lines += [[form.format(getattr(o, name)) for name, _, form in COLUMNS] for o in outcomes]
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    rows = ["  ".join(text.ljust(width) for text, width in zip(line, widths)).rstrip() for line in lines]
-    counts = Counter(o.verdict for o in outcomes)
-    return "\n".join([*rows, ", ".join(f"{n} {verdict}" for verdict, n in counts.items())])
+    counts = ", ".join(f"{n} {verdict}" for verdict, n in Counter(o.verdict for o in outcomes).items())
+    return "\n".join([*aligned(lines, left=range(len(COLUMNS))), counts])

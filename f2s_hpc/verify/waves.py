@@ -8,19 +8,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from f2s_hpc.fields import STRESS, VELOCITY
+from f2s_hpc.fields import STRESS, STRESS_PLACES, VELOCITY
 from f2s_hpc.kernels.derived import cell_pressure
 from f2s_hpc.solver.model import Model
 from f2s_hpc.verify import sample
-from f2s_hpc.verify.box import Setup, cell_coordinates, make_block, make_model, never_yields, node_coordinates, warm_up
+from f2s_hpc.verify.box import (
+    NO_SHOCK_VISCOSITY,
+    Setup,
+    cell_coordinates,
+    make_block,
+    make_model,
+    never_yields,
+    node_coordinates,
+    warm_up,
+)
 from f2s_hpc.verify.case import Case, Measured, Options, Stopwatch
 from f2s_hpc.verify.setting import Setting, material
 
 THIN = 3
 """Cells across the directions in which nothing varies."""
-
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
-_NO_VISCOSITY = ("numerics.shock_viscosity_linear=0", "numerics.shock_viscosity_quadratic=0")
 
 
 class Mode:
@@ -56,7 +62,7 @@ class Mode:
         n, shear = self.directions, 2.0 * self.bulk.shear_modulus * self.strain * math.sin(self.frequency * time)
         all_cosines = functools.reduce(np.multiply, [w[1] for w in self.cell_waves])
         deviator = []
-        for a, b in _PAIRS:
+        for a, b in STRESS_PLACES:
             if a == b:
                 deviator.append(shear * ((1.0 if a < n else 0.0) - n / 3.0) * all_cosines)
             elif max(a, b) >= n:
@@ -96,7 +102,7 @@ def _model(directions: int, cells: int, dx: float, options: Options) -> Model:
 
     The shared last steps of a cycle would add an error of their own, other phases another share of the amplitude.
     """
-    overrides = [*_NO_VISCOSITY, *options.numerics]
+    overrides = [*NO_SHOCK_VISCOSITY, *options.overrides]
     model = make_model(dx, options["material"], overrides=overrides)
     steps = _whole_steps(directions, cells, model.settings.courant, options)
     courant = options["periods"] * 2.0 * cells / math.sqrt(directions) / steps
@@ -118,7 +124,7 @@ def _run(directions: int, options: Options) -> Iterator[Measured]:
         setup.state.exchange(VELOCITY)
         setup.advance(_whole_steps(directions, cells, model.settings.courant, options))
         errors = _errors(setup, mode)
-        spent = {"steps": setup.clock.steps, "cell_steps": sample.cell_steps(setup.clock), "wall_s": watch.read()}
+        spent = sample.cost(setup.clock, watch)
         for quantity, error in zip(("stress, L2", "velocity, L2"), errors):
             yield Measured(quantity, level, dx, error, 0.0, error, least_order=1.8 if number else None, **spent)
 

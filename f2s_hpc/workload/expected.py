@@ -15,7 +15,7 @@ import numpy as np
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST
 from f2s_hpc.grid.decomposition import Ranges
-from f2s_hpc.kernels.activity import BLOCK
+from f2s_hpc.kernels.activity import BLOCK, block_count
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.meeting import waits
 from f2s_hpc.particles.plan import BatchPlan
@@ -124,7 +124,7 @@ def moments(scene: Scene, plan: BatchPlan, samples: int = SAMPLES) -> Iterator[M
             landed = air.land(height)
             # when all have landed nothing changes any more
             left = looks - look if not (landed or air.r.size) else 1
-            blocks = np.zeros((nz, ny, block_count(nx)), dtype=np.uint8)
+            blocks = np.zeros((nz, ny, block_count(nx + 2 * GHOST)), dtype=np.uint8)
             marks.mark_solid(blocks, height, GHOST, BLOCK)
             solid = blocks.copy()
             air.mark(blocks, height, nx, ON_GRID if landed else CALM)
@@ -149,17 +149,12 @@ def _pace(scene: Scene, batch: Batch, landed: int, time: float) -> float:
     return 1.0 + max(busy - 1.0, 0.0) * min(2.0 * landed / max(steady, 1e-300), 1.0)
 
 
-def block_count(cells: int) -> int:
-    """Return how many blocks cut a row of ``cells`` cells with its ghosts."""
-    return -(-(cells + 2 * GHOST) // BLOCK)
-
-
 def block_shares(cells: int, starts: Sequence[int], ends: Sequence[int]) -> np.ndarray:
     """Return how many cells of each block lie in each half-open range of cells, int64 [block, range].
 
     Ranges may reach beyond the box by the ghosts; what lies there is the mirror image of what lies inside.
     """
-    shares = np.zeros((block_count(cells), len(starts)), dtype=np.int64)
+    shares = np.zeros((block_count(cells + 2 * GHOST), len(starts)), dtype=np.int64)
     for number, (start, end) in enumerate(zip(starts, ends)):
         place = np.arange(start, end)
         place = np.where(place < 0, -1 - place, np.where(place >= cells, 2 * cells - 1 - place, place))

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from f2s_hpc.grid.decomposition import Ranges
 from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.workload import memory
 from f2s_hpc.workload.balance import balanced
-from f2s_hpc.workload.expected import SAMPLES, Moment, moments, part_cells, summed_load
+from f2s_hpc.workload.expected import Moment, moments, part_cells, summed_load
 
 SOLID, FLYING = "solid", "flying"
 
@@ -103,10 +103,6 @@ class Prediction:
     imbalance: float
     efficiency: float
 
-    def row(self) -> dict:
-        """Return the prediction as a dictionary."""
-        return asdict(self)
-
 
 def _parts(scene: Scene, ranges: Ranges) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each rank [z, y, x], the ghost cells it gets from others and how many neighbours send them."""
@@ -145,10 +141,9 @@ def busy_seconds(moment: Moment, cells: int, ranges: Ranges, rates: Rates) -> np
     return busy * rates.slower(visited)
 
 
-def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, network: Network,
-            samples: int = SAMPLES) -> list[Prediction]:
+def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, network: Network) -> list[Prediction]:
     """Return a prediction for each number of ranks. Raises ``InputError`` if the box can not be cut for one of them."""
-    history = list(moments(scene, plan, samples))
+    history = list(moments(scene, plan))
     load = summed_load(history, scene.domain.cells[0])
     balances = {count: balanced(scene, plan, count, load) for count in dict.fromkeys((1, *ranks))}
     paces = np.array([moment.weight * moment.pace for moment in history])
