@@ -197,6 +197,16 @@ def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
     assert re.search(r"cycle 2/2 .* 60\.0 %  ETA 0:01:20$", said.strip())
 
 
+def test_a_dwell_tells_how_far_it_is(monkeypatch, capsys):
+    """As often as steps do; fails when a dwell of minutes is silent, or says so after each super step."""
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    line = progress.Progress(True, 1e-6, 0.0, 10.0)
+    for now[0], left in ((5.0, 9e-3), (11.0, 7.5e-3), (12.0, 5e-3)):
+        line.dwell(left, 10e-3, 2, 9)
+    assert capsys.readouterr().out == "dwell after cycle 2/9   25.0 % of 10 ms\n"
+
+
 def test_the_fastest_particle_may_not_be_on_the_grid_yet(monkeypatch, capsys):
     """Fails when ``step`` prints the grid's speed alone: "fastest 0 m/s" while all particles fly at 615 m/s."""
     now = [0.0]

@@ -19,6 +19,7 @@ from f2s_hpc.errors import F2SError
 from f2s_hpc.fields import VELOCITY
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
+from f2s_hpc.io.compare import compare_runs
 from f2s_hpc.materials.pressure import unloaded
 from f2s_hpc.report.deposit import checkpoints_by_cycle
 from f2s_hpc.solver import dwell as solver_dwell
@@ -30,7 +31,7 @@ DX = 3e-6
 MODEL = make_model(DX)
 RATE = diffusivity(MODEL) / DX**2  # explicit steps of number 1 per second
 
-LONG = SCENE + 'substrate = { backing = "100 um" }\noutput = { picture = false }\n'
+LONG = SCENE + 'substrate = { backing = "100 um" }\noutput = { picture = false, keep_checkpoints = 9 }\n'
 for old, new in (('"72 um"', '"112 um"'), ('"56 um"', '"96 um"'), ("count = 2", 'count = 3, dwell = "20 us"')):
     LONG = LONG.replace(old, new)
 
@@ -266,7 +267,7 @@ def test_a_run_stops_within_a_dwell_and_goes_on_with_it(whole, shared_path, monk
     """Saved once on the way, then stopped, by another rank than the first if there is one: it ends in the same bits.
 
     Fails if nobody is asked during a dwell, if a resumed one begins anew, or if a checkpoint within it passes for the
-    end of the cycle.
+    end of the cycle, in analyses or in ``f2s compare``.
     """
     folder, request, calls = shared_path / "run", Simulation._request, 0
 
@@ -295,6 +296,7 @@ def test_a_run_stops_within_a_dwell_and_goes_on_with_it(whole, shared_path, monk
         assert f"stopped: the wall-time budget is spent; checkpoint {places[2]}" in said
         rows = [runs.read_cycle_table(place) for place in (whole, folder)]
         assert [row["dwell_heat_left_J"] for row in rows[0]] == [row["dwell_heat_left_J"] for row in rows[1]]
+        assert compare_runs(whole, folder).identical
 
 
 def test_a_dwell_is_no_startup(whole, tmp_path, monkeypatch):

@@ -5,10 +5,14 @@ from __future__ import annotations
 import subprocess
 
 import pytest
+from test_damaged import SCENE
 
 from f2s_hpc import mpi, origin
+from f2s_hpc._cache import package_hash
+from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene
-from f2s_hpc.cycles import output
+from f2s_hpc.cycles import output, simulation
+from f2s_hpc.io import runs
 
 
 def git(*words: str) -> str:
@@ -40,3 +44,18 @@ def test_one_rank_reads_the_origin_for_all(shared_path, monkeypatch):
     told = output.RunFolder(shared_path, load_scene("splat")).provenance()
     assert told["sources"] == "s"
     assert len(asked) == (1 if mpi.is_root() else 0)
+
+
+def test_the_origin_is_that_of_the_start(tmp_path, monkeypatch):
+    """Fails if the sources are read when the first file is written, maybe an hour and some edits later."""
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    advance = simulation.advance
+
+    def edited(*arguments) -> None:
+        monkeypatch.setattr(output, "versions", lambda: {"sources": "edited"})
+        advance(*arguments)
+
+    monkeypatch.setattr(simulation, "advance", edited)
+    assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run"), "--set",
+                 "output.picture=false"]) == 0
+    assert runs.read_summary(tmp_path / "run")["versions"]["sources"] == package_hash()

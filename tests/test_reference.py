@@ -81,6 +81,7 @@ def test_defaults_are_those_of_a_scene(capsys):
     ("output.fields", ["one or more values in brackets", "volume_fraction", "von_mises"]),
     ("remap_order", ["2: of what cells hold at third order", "node velocities at fifth order", "1: of both at first"]),
     ("stream", ["particles.stream (may be left out)", "f2s stream --json"]),
+    ("output.view.y", ["from where to where along y; one length without brackets: the layer of cells there"]),
 ])
 def test_a_key_has_meaning_values_and_default(capsys, key, words):
     """Fails if a bound, a unit, a choice or an example of the schema is lost."""

@@ -243,14 +243,16 @@ class Numerics(Section):
     dust: Number = Field(default=1e-12, ge=0, lt=1e-3, description="volume fraction below which a cell is empty")
 
 
+_SPAN = ("from where to where along {}, m; one length without brackets: the layer of cells there; if not given, the "
+         "whole box")
+
+
 class View(Section):
     """A part of the box that is written often, as a series of its own: a film of a section."""
 
-    x: tuple[LengthOrZero, LengthOrZero] | None = Field(
-        default=None, description="from where to where along x, m; one length: the layer of cells there; if not given, "
-                                  "the whole box")
-    y: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description="the same along y")
-    z: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description="the same along z")
+    x: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description=_SPAN.format("x"))
+    y: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description=_SPAN.format("y"))
+    z: tuple[LengthOrZero, LengthOrZero] | None = Field(default=None, description=_SPAN.format("z"))
     interval: Time | None = Field(default=None, examples=["20 ns"], description=(
         "simulated time between two pictures, s; without it there is no view"))
 

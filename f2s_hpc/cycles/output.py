@@ -48,11 +48,6 @@ def batch_name(number: int) -> str:
     return f"batch-{number:03d}.csv"
 
 
-def ends_cycle(attributes: dict) -> bool:
-    """Tell whether a checkpoint with these ``attributes`` stands at the end of a cycle, not within one or a dwell."""
-    return not (attributes.get("batch_is_in", True) or attributes.get("pause", {}).get("course"))
-
-
 def _block(state: State, name: str, data: np.ndarray, on_nodes: bool) -> Block:
     box = state.part.box
     return Block(name, data, state.part.start[::-1], box.node_shape if on_nodes else box.shape)
@@ -184,7 +179,7 @@ class RunFolder:
         blocks = [_block(state, name, state.owned(name), BY_NAME[name].location != CELL) for name in state.saved]
         folder = self.path / layout.CHECKPOINTS
         every = self.scene.output.archive_every
-        archived = bool(every) and cycle % every == 0 and ends_cycle(attributes)
+        archived = bool(every) and cycle % every == 0 and runs.ends_cycle(attributes)
         path = checkpoint.write_checkpoint(folder, cycle, [*blocks, *more], attributes, archived)
         checkpoint.prune(folder, self.scene.output.keep_checkpoints, self.scene.output.archive_every)
         return path

@@ -53,6 +53,7 @@ class Simulation:
     def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None) -> None:
         self.scene = scene
         self.folder = RunFolder(folder, scene)
+        self.versions = self.folder.versions  # (now: sources may be edited while the run goes on)
         phases.start()
         self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE)
         self.stages = log.stages()
@@ -142,7 +143,7 @@ class Simulation:
         """Return all that a resumed run needs besides the fields; the same on any rank count."""
         clock, rates = self.clock, self.clock.limits.over_ranks()
         return {
-            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "versions": self.folder.versions,
+            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "versions": self.versions,
             "step": clock.steps,
             "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
                       "remaps": clock.remaps, "between_remaps": clock.between_remaps, "dt": clock.dt,
@@ -395,4 +396,4 @@ class Simulation:
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
         return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep,
-                "versions": self.folder.versions}
+                "versions": self.versions}

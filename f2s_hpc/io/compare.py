@@ -20,7 +20,14 @@ from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.io import layout
 from f2s_hpc.io.checkpoint import list_checkpoints
 from f2s_hpc.io.manifest import read_manifest
-from f2s_hpc.io.runs import list_frames, open_checkpoint_serial, open_frame, read_cycle_table, read_frame_meta
+from f2s_hpc.io.runs import (
+    list_frames,
+    open_checkpoint_serial,
+    open_frame,
+    read_cycle_table,
+    read_frame_meta,
+    within_dwell,
+)
 
 NOT_A_RESULT = re.compile(r"wall_s|startup_s|.*_per_s|ranks|.*memory.*|eta.*|active_.*|imbalance|phases.*")
 NOT_A_RESULT_ATTRIBUTE = re.compile(NOT_A_RESULT.pattern + r"|.*(wall|rank|host|unix|elapsed|resum|version|created).*"
@@ -154,15 +161,21 @@ def _common(result: Comparison, place: str, one: dict, two: dict) -> list[str]:
 
 
 def _complete_checkpoints(folder: pathlib.Path, notes: list[str]) -> dict[tuple[int, int], pathlib.Path]:
-    """Return the complete checkpoints of a run by (cycle, step); the last rewrite of each."""
+    """Return the complete checkpoints of a run by (cycle, step); the last rewrite of each.
+
+    But for those of a dwell after it: where a run was stopped is no result.
+    """
     found = {}
     for path in list_checkpoints(folder / layout.CHECKPOINTS):
+        key = layout.checkpoint_key(path.name)[:2]
         try:
             read_manifest(path)
+            if key in found and within_dwell(open_checkpoint_serial(path, [])[1]):
+                continue
         except CheckpointError as error:
             notes.append(str(error))
             continue
-        found[layout.checkpoint_key(path.name)[:2]] = path
+        found[key] = path
     return found
 
 

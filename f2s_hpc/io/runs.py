@@ -242,6 +242,16 @@ def open_checkpoint_serial(path: str | os.PathLike,
         raise CheckpointError(f"{path}: damaged checkpoint ({' '.join(str(error).split())})") from None
 
 
+def within_dwell(attributes: dict) -> bool:
+    """Tell whether a checkpoint with these ``attributes`` was written while the deposit dwelt between two cycles."""
+    return bool(attributes.get("pause", {}).get("course"))
+
+
+def ends_cycle(attributes: dict) -> bool:
+    """Tell whether a checkpoint with these ``attributes`` stands at the end of a cycle, not within one or a dwell."""
+    return not (attributes.get("batch_is_in", True) or within_dwell(attributes))
+
+
 class CheckpointLayers:
     """A checkpoint opened to read its fields layer by layer, for boxes too large to hold every field whole.
 

@@ -12,7 +12,7 @@ import numpy as np
 from f2s_hpc import places
 from f2s_hpc.analysis.surface import LANDED, attached_material, landed_surface
 from f2s_hpc.config import Scene, parse_scene
-from f2s_hpc.cycles.output import RunFolder, ends_cycle
+from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
 from f2s_hpc.fields import STRESS, VELOCITY
 from f2s_hpc.io import layout, runs
@@ -84,7 +84,7 @@ def checkpoints_by_cycle(folder: str | os.PathLike, skipped: list[Skipped] | Non
         cycle = layout.checkpoint_key(path.name)[0]
         try:
             with runs.CheckpointLayers(path) as file:
-                if ends_cycle(file.attributes):
+                if runs.ends_cycle(file.attributes):
                     found[cycle] = path
         except CheckpointError as error:
             if skipped is not None:
