@@ -135,6 +135,22 @@ def test_rotation_keeps_the_invariants():
                                       "components after an eighth of a turn, L1": 0.003, "mass": 1e-12})
 
 
+def test_what_turns_keeps_its_spin():
+    """But for what the exchange of light nodes takes. Fails when that takes twice as much (``share = 2.0 * pair ...``).
+    """
+    rows = measure("spinning-sphere", "resolutions=8,12")
+    check(rows, {"angular momentum lost": 0.08})
+    assert rows[0]["error"] < 0.17
+
+
+def test_a_collision_is_the_same_in_a_moving_frame():
+    """In shape and mean PEEQ. Fails when cell fields are remapped at first order (``second`` of ``_sweep_fields`` 0.0).
+    """
+    rows = measure("moving-frame", "resolutions=12")
+    check(rows, {"extent along": 0.003, "extent across": 0.004, "PEEQ mean": 0.015, "PEEQ p95": 0.3})
+    assert rows[2]["reference"] > 0.5
+
+
 def test_simple_shear_follows_the_closed_form():
     """Fails when ``+ shear_modulus * dxy`` is left out of ``qxy`` in ``_trial_stress``."""
     rows = measure("simple-shear")

@@ -45,6 +45,7 @@ from f2s_hpc.verify.setting import NUMBER, WHOLE, Setting
     ("simple-shear", "shear=0", "write a number above 0"),
     ("simple-shear", "shear=-1", "write a number above 0"),
     ("free-flight", "distance=0", "write a number above 0"),
+    ("spinning-sphere", "turns=0", "write a number above 0"),
     ("free-flight", "distance=-100", "write a number above 0"),
     ("free-flight", "direction=1,inf,0", 'write "all", or three numbers'),
     ("vof-vortex", "period=0", "write a number above 0"),

@@ -25,6 +25,11 @@ def largest(values: Sequence[float] | float) -> np.ndarray:
     return np.max(np.array(mpi.all_gather(values), dtype=float), axis=0)
 
 
+def gathered(rows: np.ndarray) -> np.ndarray:
+    """Return the ``rows`` (n, ...) of all ranks, one below the other in the order of the ranks."""
+    return np.concatenate(mpi.all_gather(rows))
+
+
 def along_x(state: State, values: np.ndarray) -> np.ndarray:
     """Return on every rank the row of a field along x in the middle of the box (y and z).
 
