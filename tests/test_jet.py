@@ -176,7 +176,7 @@ def test_files_with_and_without_velocities_make_one_plan(tmp_path):
     ("x,y,z,r,vz\n1,1,1,1,1\n", "column vz without the others"),
     ("x,y,z,r,vx,vy,vz\n.1,.1,.1,.01,0,0,slow\n", "row 1: vz is 'slow', but must be a number in m/s"),
     ("x,y,z,r,vx,vy,vz\n.1,.1,.1,.01,0,0,inf\n", "row 1: vz is 'inf'"),
-    ("x,y,z,r,vx,vy,vz\n.1,.1,.1,.01,0,0\n", "row 1: 6 values, but the header x,y,z,r,vx,vy,vz needs 7")])
+    ("x,y,z,r,vx,vy,vz\n.1,.1,.1,.01,0,0\n", "row 1: 6 values, but the header has 7 columns")])
 def test_wrong_velocities_in_a_file_are_refused(tmp_path, text, words):
     (tmp_path / "b.csv").write_text(text, encoding="ascii")
     with pytest.raises(InputError, match=re.escape(words)):
