@@ -297,8 +297,7 @@ def _with_temperatures(scene, batches: list[Batch], messages: list[str], kept: b
             if problem:
                 raise InputError(f"{name}: row {row}: temperature {pretty(value, 'temperature')} {problem}")
     batches = [batch if batch.temperature is not None else dataclasses.replace(
-        batch, temperature=np.full(batch.count, 1.0) * scene.particles.temperature_at(2.0 * batch.r))
-        for batch in batches]
+        batch, temperature=np.full(batch.count, scene.particles.temperature_at(2.0 * batch.r))) for batch in batches]
     values = np.concatenate([batch.temperature for batch in batches]) - ZERO_CELSIUS
     messages.append(f"particles are at {values.min():.1f} to {values.max():.1f} degC, {values.mean():.1f} in the mean")
     return batches
