@@ -107,6 +107,16 @@ def test_light_nodes_are_capped_and_heavy_ones_are_not():
     assert totals["capped"] > 0
 
 
+def test_light_nodes_share_what_is_along_their_pair():
+    """And nothing across, which would brake a body that turns. Fails when ``across`` is ``along`` for a light pair."""
+    u, _, kept, totals = calmed({(5, 5, 5): 100.0}, exchange_mass_limit=0.6, exchange_strength=0.05, speed_limit=1e9)
+    assert u[5, 5, 5] == pytest.approx(100.0 * (1.0 - 2 * 0.05))
+    assert u[5, 5, 4] == u[5, 5, 6] == pytest.approx(100.0 * 0.05)
+    assert u[5, 4, 5] == u[5, 6, 5] == u[4, 5, 5] == 0.0
+    assert kept == pytest.approx(1.0, rel=1e-12)
+    assert totals["exchanged"] > 0
+
+
 def test_a_node_beyond_the_speed_limit_shares_its_momentum():
     """One of full mass gives 0.12 of the difference to each of six neighbours; below the limit none.
 

@@ -184,10 +184,11 @@ def mark_fast_rows(runs, count, shape, fast, u, v, w, rows):
 def exchange_light(runs, count, window, shape, strength, limit, fast, rows, nodal, u, v, w, du, dv, dw, lost):
     """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
 
-    A pair of neighbours along an axis shares momentum if both are lighter than ``limit`` full nodes
-    (with ``strength``), or if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH): the pair's
+    A pair of neighbours along an axis shares momentum: along that axis if both are lighter than ``limit`` full nodes
+    (with ``strength``), in every direction if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH). The pair's
     lighter mass times the strength times the velocity difference passes from one to the other, so the
-    pair keeps its momentum and no pair overshoots (strength < 1/6). Adds to ``lost`` each node's half of the kinetic
+    pair keeps its momentum and no pair overshoots (strength < 1/6); and what passes along the axis alone leaves a
+    body's turning as it is. Adds to ``lost`` each node's half of the kinetic
     energy that its pairs lose (half full nodes (m/s)^2), unless that is an array of one number.
     ``rows``: which rows hold a node beyond ``fast`` (:func:`mark_fast_rows`); elsewhere only light nodes are looked at.
     """
@@ -221,15 +222,19 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, rows, noda
                     other = nodal[o]
                     if other <= 0.0:
                         continue
-                    pair = strength if m < limit and other < limit else 0.0
+                    along, across = (strength if m < limit and other < limit else 0.0), 0.0
                     if quick or u[o] * u[o] + v[o] * v[o] + w[o] * w[o] > fast * fast:
-                        pair = max(pair, FAST_STRENGTH)
-                    share = pair * min(m, other) / m
+                        along, across = max(along, FAST_STRENGTH), FAST_STRENGTH
+                    along *= min(m, other) / m
+                    across *= min(m, other) / m
+                    p = along if axis == 0 else across
+                    q = along if axis == 1 else across
+                    s = along if axis == 2 else across
                     x, y, z = u[o] - u[n], v[o] - v[n], w[o] - w[n]
-                    du[n] += share * x
-                    dv[n] += share * y
-                    dw[n] += share * z
-                    pairs += share * (x * x + y * y + z * z)
+                    du[n] += p * x
+                    dv[n] += q * y
+                    dw[n] += s * z
+                    pairs += p * x * x + q * y * y + s * z * z
             if keeps:
                 # sum over pairs of p |du|^2 less sum m |change|^2: what all nodes together lose, in any frame
                 lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n]))

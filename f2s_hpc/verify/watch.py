@@ -92,7 +92,10 @@ def _worst(so_far: float, now: float) -> float:
 
 @dataclass
 class Watch:
-    """Looks at a run; ``speed``: that of the particles (m/s)."""
+    """Looks at a run; ``speed``: that of the particles (m/s).
+
+    ``least_energy``: the least energy so far (J, over what was brought in), that at the start unless given.
+    """
 
     setup: Setup
     speed: float
@@ -102,7 +105,7 @@ class Watch:
     energy_rise: float = 0.0
     peeq_max: float = 0.0
     temperature_max: float = 0.0
-    _least_energy: float = 0.0  # J, over what was brought in
+    least_energy: float = 0.0
     _peeq: float = 0.0  # sum over all material, at the last look
     _most_peeq: float = 0.0
     _left: int = 0
@@ -177,8 +180,8 @@ class Watch:
             back = energy["returned_heat"] / max(s.model.bulk.taylor_quinney, 1e-300)
             held += energy["elastic"] + energy["plastic_work"] + energy["shock_viscosity"] + back
         over, scale = held - energy["brought_in"], energy["brought_in"] or 1.0
-        self.energy_rise = _worst(self.energy_rise, (over - self._least_energy) / scale)
-        self._least_energy = min(self._least_energy, over)
+        self.energy_rise = _worst(self.energy_rise, (over - self.least_energy) / scale)
+        self.least_energy = min(self.least_energy, over)
         if not self.energy_rise <= ENERGY_BAR:
             raise Broken(f"energy: it rose by {100 * self.energy_rise:.2f} % of what was brought in {self._at()}")
 
