@@ -268,6 +268,23 @@ def test_a_low_box_and_short_cycles_are_told_and_what_is_enough(changes, keys):
     assert told == keys
 
 
+@pytest.mark.parametrize(("radius", "cell", "instead"), [
+    ("0.006", "2 um", ["speed_limit_factor = 1.2", "speed_cap_factor = 2"]), ("0.03", "6 um", ["steps_per_remap = 8"]),
+    ("0.0149", "6 um", [])])
+def test_numerics_for_another_powder_are_told(tmp_path, radius, cell, instead):
+    """By the median of the files, and what to write. Fails when ``_other_powder`` takes the scene's median for both."""
+    (tmp_path / "a.csv").write_text(f"x,y,z,r\n0.05,0.05,0.05,{radius}\n")
+    changes = [f"domain.cell_size={cell}", "cycles.count=1", f"batches.files=['{tmp_path}/a.csv']"]
+
+    def told() -> list[str]:
+        scene = load_scene("quickstart", changes)
+        return [note for note in scene_notes(scene, make_batches(scene)) if note.startswith("numerics: ")]
+
+    assert [note.rpartition("write ")[2].split(", ") for note in told()] == ([instead] if instead else [])
+    changes += [f"numerics.{pair}" for pair in instead]
+    assert not told()
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize(("arguments", "word"), [
     (["runn", "quickstart"], "runn"), (["run"], "SCENE"), (["run", "splat", "--oout", "x"], "--oout"),

@@ -10,7 +10,7 @@ from collections import Counter
 import numpy as np
 
 from f2s_hpc.analysis.depth import weighted_percentiles
-from f2s_hpc.config.schema import Scene
+from f2s_hpc.config.schema import Scene, by_resolution
 from f2s_hpc.particles.batch import Batch, clipped_volume
 from f2s_hpc.particles.plan import BatchPlan
 from f2s_hpc.units import count_text, pretty
@@ -26,10 +26,11 @@ LATE = 0.1
 
 
 def scene_notes(scene: Scene, plan: BatchPlan) -> list[str]:
-    """Return a line on each: a box that whole cells change much, coarse cells, mirrors that particles fly towards,
-    a box too low for the deposit, cycles too short for the flight.
+    """Return a line on each: a box that whole cells change much, coarse cells, numerics for another powder, mirrors
+    that particles fly towards, a box too low for the deposit, cycles too short for the flight.
     """
-    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_slanted_flight(scene), *_short_of_room(scene, plan)]
+    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_other_powder(scene, plan), *_slanted_flight(scene),
+            *_short_of_room(scene, plan)]
 
 
 def median_diameter(scene: Scene, plan: BatchPlan) -> float:
@@ -121,3 +122,15 @@ def _coarse_cells(scene: Scene, plan: BatchPlan) -> list[str]:
     return [(f"domain.cell_size: the median particle ({pretty(median, 'length')}) has {cells:.2g} cells to its "
              f"diameter; below {LEAST_CELLS:g} no impact is resolved, with {pretty(0.2 * median, 'length')} there "
              f"are 5, with {pretty(0.1 * median, 'length')} 10")]
+
+
+def _other_powder(scene: Scene, plan: BatchPlan) -> list[str]:
+    """Return a line where numerics follow a median diameter of the scene that the files do not have."""
+    median, said, dx = median_diameter(scene, plan), scene.batches.median_diameter, scene.domain.cell_size
+    wanted, chosen = by_resolution(median, dx), by_resolution(said, dx)
+    other = [name for name, value in chosen.items() if getattr(scene.numerics, name) == value != wanted[name]]
+    if scene.batches.source != "files" or not other:
+        return []
+    numbers = [", ".join(f"{name} = {values[name]:g}" for name in other) for values in (chosen, wanted)]
+    return [(f"numerics: {numbers[0]} suit batches.diameter_d50 ({pretty(said, 'length')}), but the median particle of "
+             f"the files has {pretty(median, 'length', 3)}; for that write {numbers[1]}")]

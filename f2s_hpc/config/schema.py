@@ -49,6 +49,13 @@ HOTTEST = 4000.0  # K: tungsten melts at 3695 K
 FASTEST = 1e5  # m/s: no gun comes near, and squares of speeds stay numbers
 
 
+def by_resolution(median: float, cell_size: float) -> dict[str, float]:
+    """Return the numerics that fit a median particle of that diameter and such cells (both m), by their keys."""
+    cells = median / cell_size * (1.0 + 1e-9)
+    chosen = {"steps_per_remap": MOST_STEPS if cells >= FINE else 1}
+    return chosen | {name: pair[cells >= RESOLVED] for name, pair in SPEED_LIMITS.items()}
+
+
 def _check_spheres(scene: Scene) -> None:
     """Raise if listed spheres leave the particle layer or overlap, or generated ones cannot fit."""
     domain, batches = scene.domain, scene.batches
@@ -219,9 +226,7 @@ class Scene(Section):
         """Settle the steps between two remaps and the speed limits where the scene does not say."""
         if not {"domain", "batches"} <= info.data.keys():
             return value
-        cells = info.data["batches"].median_diameter / info.data["domain"].cell_size * (1.0 + 1e-9)
-        chosen = {"steps_per_remap": MOST_STEPS if cells >= FINE else 1}
-        chosen |= {name: pair[cells >= RESOLVED] for name, pair in SPEED_LIMITS.items()}
+        chosen = by_resolution(info.data["batches"].median_diameter, info.data["domain"].cell_size)
         return value.model_copy(update={n: v for n, v in chosen.items() if getattr(value, n) is None})
 
     @model_validator(mode="after")
