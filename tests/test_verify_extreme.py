@@ -99,19 +99,19 @@ def test_outflow_sides_bring_no_energy_in():
 
 def test_mass_floor_brings_no_energy_in():
     """Found by the fuzz: spheres of one and two cells, mostly light nodes; fails with a default floor of 0.05."""
-    outcome, = fuzz.run(1, first=197, numerics=PAINTED)
+    outcome, = fuzz.run(1, first=197, numerics=PAINTED, plain=True)
     assert outcome.verdict == watch.STABLE
 
 
 def test_mass_floor_withholds_no_braking():
     """Found by the fuzz: a sphere of half a cell meets a mirror; fails when the floor divides a braking force too."""
-    outcome, = fuzz.run(1, first=52, numerics=PAINTED)
+    outcome, = fuzz.run(1, first=52, numerics=PAINTED, plain=True)
     assert outcome.verdict == watch.STABLE
 
 
 def test_material_that_touches_a_side_when_it_is_put_in_brings_no_energy():
     """Found by the fuzz: a sphere larger than its box; fails with a whole first step, ``START`` = 0."""
-    outcome, = fuzz.run(1, first=104, numerics=PAINTED)
+    outcome, = fuzz.run(1, first=104, numerics=PAINTED, plain=True)
     assert outcome.verdict == watch.STABLE
 
 
@@ -121,7 +121,7 @@ def test_kinetic_energy_that_the_remap_rings_up_is_paid_by_heat(scene):
 
     Fails when only nodes above ``LEAST_HEATING`` give back what the remap made (``| (lost[n] < 0.0)`` left out).
     """
-    outcome, = fuzz.run(1, first=scene, numerics=PAINTED)
+    outcome, = fuzz.run(1, first=scene, numerics=PAINTED, plain=True)
     assert outcome.verdict == watch.STABLE, outcome.reason
 
 
@@ -362,7 +362,7 @@ def test_fuzz_has_no_failure():
 @pytest.mark.mpi
 def test_fuzz_on_ranks_is_the_same():
     """A scene runs alike on every rank; fails when an outcome holds a number of one rank only."""
-    outcomes = fuzz.run(1, first=2, numerics=PAINTED)
+    outcomes = fuzz.run(1, first=2, numerics=PAINTED, plain=True)
     seen = mpi.all_gather([(o.scene, o.verdict, o.steps, o.peeq_max, o.temperature_max, o.wall_s) for o in outcomes])
     assert all(row == seen[0] for row in seen)
     assert outcomes[0].verdict == watch.STABLE
@@ -390,10 +390,15 @@ def test_fuzz_scenes_come_from_their_seed():
         assert low < high
         for default in SPEED_LIMITS.get(name, [Numerics.model_fields[name].default]):
             assert low <= default <= high
+    rare = [fuzz.options(1, i) for i in range(60)]
+    assert rare == [fuzz.options(1, i) for i in range(60)]
+    keys = {option.partition("=")[0] for options in rare for option in options}
+    assert keys >= {"domain.faces.z_low", "numerics.loss_heating", "numerics.sleeping_depth", "output.origin",
+                    "particles.temperature_per_diameter"}
     refusals = []
-    for text in texts:
+    for text, options in zip(texts, rare):
         try:
-            parse_scene(text, "fuzz")
+            parse_scene(text, "fuzz", options)
         except InputError as error:
             refusals.append(str(error))
     assert not [line for line in refusals if "temperature" not in line]

@@ -1,12 +1,14 @@
 """Random small scenes, each drawn from a seed, run to their end under :mod:`f2s_hpc.verify.watch`.
 
-Everything that a scene may ask for is drawn from its allowed range, hence also much that nobody would ask for. What
-the check of the scene refuses counts as refused; nothing else may end otherwise than stable or with a clear reason.
+What a scene may ask for is drawn from its allowed range, hence also much that nobody would ask for; not drawn are
+files, laws of speed, jets, what is written, and dwells. What the check of the scene refuses counts as refused; nothing
+else may end otherwise than stable or with a clear reason.
 """
 
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -51,6 +53,28 @@ def _flight(seed: int, index: int) -> str:
     """Return how the particles fly, drawn for itself: what else is drawn stays as it was before they could."""
     draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index, 1])))
     return "ballistic" if draw.random() < 0.6 else "eulerian"
+
+
+def options(seed: int, index: int) -> list[str]:
+    """Return "key.path=value" of what few scenes ask for, for scene ``index`` of ``seed``.
+
+    Drawn for itself, as :func:`_flight`, so that found failures stay the scenes that they were.
+    """
+    draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index, 2])))
+    chosen = []
+    if draw.random() < 0.3:
+        chosen += [f"domain.faces.{side}=absorbing" for side in SIDES if draw.random() < 0.4]
+    if draw.random() < 0.2:
+        chosen.append("numerics.loss_heating=false")
+    if draw.random() < 0.3:
+        cell = float(tomllib.loads(scene_text(seed, index))["domain"]["cell_size"].split()[0])
+        chosen.append(f"numerics.sleeping_depth={draw.uniform(8.0, 20.0) * cell!r} m")
+    if draw.random() < 0.2:
+        chosen.append("output.origin=true")
+    if draw.random() < 0.3:
+        chosen += [f"particles.temperature_per_diameter={draw.uniform(-5.0, 5.0):.3f} K/um",
+                   "particles.temperature_diameter=30 um"]
+    return chosen
 
 
 def _quantities(values: Sequence[float], unit: str) -> str:
@@ -118,13 +142,15 @@ def _numerics(draw: np.random.Generator) -> list[str]:
 
 
 def run(count: int, seed: int = 1, numerics: Sequence[str] = (), first: int = 0,
-        report: Callable[[Outcome], None] = lambda outcome: None) -> list[Outcome]:
+        report: Callable[[Outcome], None] = lambda outcome: None, plain: bool = False) -> list[Outcome]:
     """Run scenes ``first`` to ``first + count - 1`` of ``seed`` and return the outcomes, the same on every rank.
 
-    ``numerics``: "numerics.KEY=value" for every scene; ``report`` is called with every outcome as it comes. Collective.
+    ``numerics``: "numerics.KEY=value" for every scene; ``report`` is called with every outcome as it comes; ``plain``:
+    without :func:`options`. Collective.
     """
     outcomes = []
     for index in range(first, first + count):
-        outcomes.append(run_scene(f"fuzz {seed}-{index}", scene_text(seed, index), tuple(numerics)))
+        outcomes.append(run_scene(f"fuzz {seed}-{index}", scene_text(seed, index),
+                                  (*([] if plain else options(seed, index)), *numerics)))
         report(outcomes[-1])
     return outcomes

@@ -27,6 +27,7 @@ from f2s_hpc.config.load import parse_scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.flight import NO_ROOM
 from f2s_hpc.errors import InputError, TooManyRanks, UnstableStep
+from f2s_hpc.fields import LENT
 from f2s_hpc.kernels import momentum
 from f2s_hpc.verify import sample
 from f2s_hpc.verify.box import Setup
@@ -109,6 +110,7 @@ class Watch:
     _peeq: float = 0.0  # sum over all material, at the last look
     _most_peeq: float = 0.0
     _left: int = 0
+    _lent: float = 0.0  # full cells
 
     def __post_init__(self) -> None:
         s = self.setup
@@ -199,14 +201,16 @@ class Watch:
         s = self.setup
         total = sum(mpi.all_gather(float((s.state.owned("mass") * s.state.owned("peeq")).sum())))
         totals = s.ledger.totals()
-        left = totals["mass_left"] + totals["mass_capped"] + totals["mass_lent"]
+        left = totals["mass_left"] + totals["mass_capped"]
         # mass is counted in quanta: what left is known to the bar of the mass only
-        known = max(left - self._left, 0) + MASS_BAR * (totals["mass_painted"] + self.substrate)
-        carried = known * s.model.mass_quantum * self.peeq_max
+        known = left - self._left + MASS_BAR * (totals["mass_painted"] + self.substrate)
+        # (what cells beside absorbing sides lend goes with their PEEQ, and comes back with that of later)
+        lent = sum(mpi.all_gather(float(np.abs(s.state.owned(LENT)).sum()))) if LENT in s.state.saved else 0.0
+        carried = (known * s.model.mass_quantum + lent + self._lent) * self.peeq_max
         self._most_peeq = _worst(self._most_peeq, total)
         if not total >= self._peeq - carried - PEEQ_BAR * self._most_peeq:
             raise Broken(f"PEEQ: its sum fell by {(self._peeq - total) / self._peeq:.2e} {self._at()}")
-        self._peeq, self._left = total, left
+        self._peeq, self._left, self._lent = total, left, lent
 
     def outcome(self, scene: str, verdict: str, reason: str, wall: float) -> Outcome:
         """Return what became of the run so far. Collective, unless this rank is alone."""
