@@ -36,7 +36,8 @@ def make_run(path: pathlib.Path, cycles=(1, 2), changed=None, **table) -> pathli
             blocks.append(Block(name, data, (0, 0, 0), SHAPE))
         attributes = {"step": 100 * cycle, "time_s": 0.1 * cycle, "ledger": {"heat_J": table.get("heat_J", 1 / 3)},
                       "quanta": str(2**70 + table.get("more", 0)),
-                      "wall_s": table.get("wall_s", 1.0), "ranks": table.get("ranks", 1)}
+                      "wall_s": table.get("wall_s", 1.0), "ranks": table.get("ranks", 1),
+                      "host": str(table.get("ranks", 1)), "seed": table.get("ranks", 1)}
         checkpoint.write_checkpoint(run / "checkpoints", cycle, blocks, attributes)
         vtkhdf.write_frame(run / "frames", cycle, 1e-7 * cycle, blocks, (0, 0, 0), (1e-6,) * 3, {"cycle": cycle})
         rows.append({"cycle": cycle, "height_mean_m": 1e-6 * cycle, "dt_limit": "sound", "wall_s": 1.0, "ranks": 1,
@@ -50,7 +51,7 @@ def make_run(path: pathlib.Path, cycles=(1, 2), changed=None, **table) -> pathli
 
 
 def test_same_run_is_identical(tmp_path):
-    """Fails when NaN is compared as a number: each field holds one."""
+    """Fails when NaN is compared as a number (each field holds one), or host, ranks or seed of a checkpoint count."""
     a, b = make_run(tmp_path / "a"), make_run(tmp_path / "b", wall_s=9.0, ranks=4, peak_memory_bytes=1,
                                               active_cells=1, cells_per_s=2.0, eta_s=0.0, phases_remap_mean_s=2.0)
     result = compare_runs(a, b)

@@ -11,7 +11,7 @@ import numpy as np
 
 from f2s_hpc import mpi, phases
 from f2s_hpc.build import build_ledger, build_model, build_state
-from f2s_hpc.config.dump import dump_scene, scene_hash
+from f2s_hpc.config.dump import dump_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.finite import refuse_what_is_not_finite
@@ -140,10 +140,10 @@ class Simulation:
         self.substrate_quanta = int(saved["substrate_quanta"])
 
     def _attributes(self) -> dict:
-        """Return all that a resumed run needs besides the fields; the same on any rank count."""
+        """Return all that a resumed run needs besides the fields, the same on any rank count, and whence it comes."""
         clock, rates = self.clock, self.clock.limits.over_ranks()
         return {
-            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "versions": self.versions,
+            "scene": dump_scene(self.scene), **self.folder.identity, "versions": self.versions,
             "step": clock.steps,
             "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
                       "remaps": clock.remaps, "between_remaps": clock.between_remaps, "dt": clock.dt,
@@ -394,6 +394,6 @@ class Simulation:
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         age, memory = self.startup or (process_age(), peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
-        return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
+        return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, **self.folder.identity,
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep,
                 "versions": self.versions}

@@ -32,7 +32,7 @@ from f2s_hpc.io.tracers import list_tracers, read_columns, tracer_path
 
 NOT_A_RESULT = re.compile(r"wall_s|startup_s|.*_per_s|ranks|.*memory.*|eta.*|active_.*|imbalance|phases.*")
 NOT_A_RESULT_ATTRIBUTE = re.compile(NOT_A_RESULT.pattern + r"|.*(wall|rank|host|unix|elapsed|resum|version|created).*"
-                                    r"|batches\.(cycles|sha256)")
+                                    r"|seed|batches\.(cycles|sha256)")
 INTEGER = re.compile(r"[+-]?[0-9]+")
 VALUES_AT_ONCE = 1 << 20
 
