@@ -330,6 +330,7 @@ class Run(Section):
     """The run itself."""
 
     wall_time: Time | None = Field(default=None, examples=["90 min"],
-                                   description="wall time after which the run stops with a checkpoint, s")
+                                   description="wall time from the start of the command, saving included, after which "
+                                               "the run stops with a checkpoint, s")
     checkpoint_interval: Time = Field(
         default=1800.0, description="wall time after which a cycle that still runs gets a checkpoint within, s")

@@ -47,15 +47,17 @@ RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
 class Simulation:
     """A run of a scene, from its start or from a checkpoint.
 
-    ``plan``: the batches, the same on every rank; None to take them from the run folder. All methods are collective.
+    ``plan``: the batches, the same on every rank; None to take them from the run folder. ``started``: see
+    ``StopRequest``. All methods are collective.
     """
 
-    def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None) -> None:
+    def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None,
+                 started: float | None = None) -> None:
         self.scene = scene
         self.folder = RunFolder(folder, scene)
         self.versions = self.folder.versions  # (now: sources may be edited while the run goes on)
         phases.start()
-        self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE)
+        self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE, started)
         self.stages = log.stages()
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
@@ -231,7 +233,8 @@ class Simulation:
                 if clock.stop:
                     self._index_view()
                     return False
-        self._finish_cycle(duration)
+        with self.stop.saving():
+            self._finish_cycle(duration)
         if not clock.stop or self.cycle == self.scene.cycles.count:
             return True
         self.progress.say(f"stopped: {self.stop.reason()}")
@@ -261,7 +264,8 @@ class Simulation:
     def _save(self, stops: bool) -> None:
         """Write a checkpoint within a cycle or a dwell, and say so."""
         refuse_what_is_not_finite(self.state)
-        path = self._checkpoint()
+        with self.stop.saving():
+            path = self._checkpoint()
         self.progress.say((f"stopped: {self.stop.reason()}; " if stops else "") + f"checkpoint {path}")
 
     def _request(self) -> int:
