@@ -57,7 +57,8 @@ def check(scene: Scene) -> str:
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
                     more=[("resolution", _resolution_line(scene, plan)),
                           ("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
-                          ("imbalance", _balance_line(balance))])
+                          ("imbalance", _balance_line(balance)),
+                          ("run time", "'f2s plan SCENE' foretells it, on any number of ranks")])
     return "\n".join([text, *(f"# note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
 
 
