@@ -6,7 +6,8 @@
 #   DRY_RUN=1 bash jobs/section4.sh                             only print the command
 #
 # How many ranks: 50 000 to 200 000 cells for each; "f2s check section4" prints cells and memory per rank.
-# If the time is not enough the last checkpoint stays; go on with  OUT=... sbatch jobs/chain.sh
+# If the time is not enough, or a node fails, the last checkpoint stays; go on with  OUT=... sbatch jobs/chain.sh
+# (SLURM must not start this job again by itself: f2s run refuses the folder that is in use.)
 #
 # Variables: SCENE, CELL_SIZE, OUT, and those of jobs/common.sh. Arguments go to f2s run.
 #SBATCH --job-name=f2s-section4
@@ -15,6 +16,8 @@
 #SBATCH --cpus-per-task=1
 #SBATCH --time=12:00:00
 #SBATCH --signal=B:USR1@600
+#SBATCH --no-requeue
+#SBATCH --open-mode=append
 #SBATCH --output=%x-%j.log
 set -euo pipefail
 

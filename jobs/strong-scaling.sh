@@ -17,6 +17,8 @@
 #SBATCH --cpus-per-task=1
 #SBATCH --exclusive
 #SBATCH --time=04:00:00
+#SBATCH --no-requeue
+#SBATCH --open-mode=append
 #SBATCH --output=%x-%j.log
 set -euo pipefail
 

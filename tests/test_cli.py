@@ -131,6 +131,7 @@ def test_check_prints_the_scene_and_what_it_will_take(capsys, workplace):
         assert abs(int(re.search(r"\d+", facts["steps"])[0]) - 40e-9 / step) < 2
         for name in ("memory", "frames", "checkpoints"):
             assert re.search(r"\d (KiB|MiB|kB|MB|B)\b", facts[name]), facts[name]
+        assert "f2s plan" in facts["run time"]
         assert facts["resolution"].startswith("4.75 cells across the median particle of 19 um")
         scene = tomllib.loads(out)  # (its notes are remarks too, so that it may be kept as a scene)
         assert "# note: cycles.duration" in out

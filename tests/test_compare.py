@@ -11,7 +11,7 @@ import pytest
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
-from f2s_hpc.io import checkpoint, layout, runs, vtkhdf
+from f2s_hpc.io import checkpoint, layout, runs, tracers, vtkhdf
 from f2s_hpc.io.compare import compare_arrays, compare_runs, format_comparison
 from f2s_hpc.io.layout import Block
 
@@ -36,7 +36,8 @@ def make_run(path: pathlib.Path, cycles=(1, 2), changed=None, **table) -> pathli
             blocks.append(Block(name, data, (0, 0, 0), SHAPE))
         attributes = {"step": 100 * cycle, "time_s": 0.1 * cycle, "ledger": {"heat_J": table.get("heat_J", 1 / 3)},
                       "quanta": str(2**70 + table.get("more", 0)),
-                      "wall_s": table.get("wall_s", 1.0), "ranks": table.get("ranks", 1)}
+                      "wall_s": table.get("wall_s", 1.0), "ranks": table.get("ranks", 1),
+                      "host": str(table.get("ranks", 1)), "seed": table.get("ranks", 1)}
         checkpoint.write_checkpoint(run / "checkpoints", cycle, blocks, attributes)
         vtkhdf.write_frame(run / "frames", cycle, 1e-7 * cycle, blocks, (0, 0, 0), (1e-6,) * 3, {"cycle": cycle})
         rows.append({"cycle": cycle, "height_mean_m": 1e-6 * cycle, "dt_limit": "sound", "wall_s": 1.0, "ranks": 1,
@@ -50,7 +51,7 @@ def make_run(path: pathlib.Path, cycles=(1, 2), changed=None, **table) -> pathli
 
 
 def test_same_run_is_identical(tmp_path):
-    """Fails when NaN is compared as a number: each field holds one."""
+    """Fails when NaN is compared as a number (each field holds one), or host, ranks or seed of a checkpoint count."""
     a, b = make_run(tmp_path / "a"), make_run(tmp_path / "b", wall_s=9.0, ranks=4, peak_memory_bytes=1,
                                               active_cells=1, cells_per_s=2.0, eta_s=0.0, phases_remap_mean_s=2.0)
     result = compare_runs(a, b)
@@ -151,6 +152,44 @@ def test_time_and_place_of_a_frame_count(tmp_path, key, time, origin, spacing):
     result = compare_runs(a, b)
     assert not result.identical
     assert {(d.place, d.name) for d in result.differences if d.different} == {("frame 1", key)}
+
+
+def add_view_and_tracers(run: pathlib.Path, speed: float = 1.0, peeq: float = 0.5,
+                         centre: float = 2e-5) -> pathlib.Path:
+    """Add a view of one frame and the points of one particle to a run."""
+    blocks = [Block("speed", np.full(SHAPE, speed), (0, 0, 0), SHAPE)]
+    vtkhdf.write_frame(run / layout.VIEW, 0, 1e-8, blocks, (0, 0, 0), (1e-6,) * 3, {})
+    table = tracers.ParticleTable(np.full(1, 1e-5), np.full((1, 3), centre), np.zeros(1), np.zeros(1, dtype=bool))
+    points = [np.full(2, value) for value in (1.0, peeq, 300.0)]
+    cloud = tracers.TracerCloud(1e-7, np.zeros(2, dtype=np.int64), np.full((2, 3), 1e-5), *points, table, (0, 2))
+    tracers.write_tracers(run, 1, cloud, {})
+    return run
+
+
+@pytest.mark.parametrize(("changed", "place", "name"), [
+    ({"speed": 1.5}, "view 0", "speed"), ({"peeq": 0.25}, "tracers of cycle 1", "peeq"),
+    ({"centre": 3e-5}, "tracers of cycle 1", "particles/centre")])
+def test_view_and_tracers_count(tmp_path, changed, place, name):
+    """Fails when ``compare_runs`` looks at the frames alone, or leaves out ``_compare_tracers``."""
+    a, b, c = (make_run(tmp_path / folder, (1,)) for folder in "abc")
+    for run in (a, b):
+        add_view_and_tracers(run)
+    result = compare_runs(a, b)
+    assert result.identical
+    assert {"view 0", "tracers of cycle 1"} <= {d.place for d in result.differences}
+    result = compare_runs(a, add_view_and_tracers(c, **changed))
+    assert not result.identical
+    assert {(d.place, d.name) for d in result.differences if d.different} == {(place, name)}
+
+
+def test_a_view_and_tracers_of_one_run_only_are_missing(tmp_path):
+    a, b = add_view_and_tracers(make_run(tmp_path / "a", (1,))), make_run(tmp_path / "b", (1,))
+    result = compare_runs(a, b)
+    assert not result.identical
+    assert result.missing == [str(b / layout.VIEW / layout.frame_name(0)), str(tracers.tracer_path(b, 1))]
+    add_view_and_tracers(b)
+    tracers.tracer_path(b, 1).write_bytes(b"no points")
+    assert ["damaged file of tracers" in text for text in compare_runs(a, b).missing] == [True]
 
 
 def test_what_only_one_run_has_is_missing(tmp_path):

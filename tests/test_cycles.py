@@ -5,19 +5,24 @@ from __future__ import annotations
 import json
 import pathlib
 import re
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from f2s_hpc.cli import tasks
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import parse_scene
 from f2s_hpc.config.describe import checkpoint_bytes, frame_count
-from f2s_hpc.cycles import progress
+from f2s_hpc.cycles import progress, simulation
+from f2s_hpc.cycles.output import RunFolder
+from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import PLACES, bytes_saved
 from f2s_hpc.io import layout, runs
 from f2s_hpc.io.checkpoint import list_checkpoints
+from f2s_hpc.particles.plan import make_batches
 from f2s_hpc.solver import sleep
 from f2s_hpc.verify.scenes import prepare
 
@@ -67,6 +72,41 @@ def test_a_stop_in_the_last_step_of_all_is_none(run):
     """Fails when the end of the last cycle passes for a timeout: a batch system would start the run again for ever."""
     folder = run(0, "cycles.count=1", "cycles.duration=0.01 ns", "run.wall_time=1 us")
     assert runs.read_summary(folder)["status"] == "complete"
+
+
+@pytest.mark.parametrize("settings", [["cycles.count=1"], ["run.wall_time=1 us"]])
+def test_a_run_counts_its_time_from_the_command_on_and_measures_its_saving(run, monkeypatch, settings):
+    """At the end of a cycle and within one. Fails if ``main`` or ``tasks`` does not hand ``started`` on, or without
+    ``saving`` around ``_finish_cycle`` or around ``_checkpoint`` in ``_save``.
+    """
+    stops, batches, saved = [], [], []
+
+    def kept(*arguments):
+        stops.append(StopRequest(*arguments))
+        return stops[-1]
+
+    def made(scene):
+        batches.append(time.monotonic())
+        return make_batches(scene)
+
+    def written(self, *arguments):
+        began = time.monotonic()
+        path = write_checkpoint(self, *arguments)
+        saved.append(time.monotonic() - began)
+        return path
+
+    write_checkpoint = RunFolder.write_checkpoint
+    monkeypatch.setattr(simulation, "StopRequest", kept)
+    monkeypatch.setattr(tasks, "make_batches", made)
+    monkeypatch.setattr(RunFolder, "write_checkpoint", written)
+    began = time.monotonic()
+    folder = run(75 if "run.wall_time=1 us" in settings else 0, *settings)
+    assert began < stops[0].started < batches[0] < stops[0].start
+    assert len(saved) == 1
+    assert stops[0].reserve > saved[0]
+    began = time.monotonic()
+    assert main(["resume", str(folder), "--set", "run.wall_time=1 h"]) == 0
+    assert began < stops[1].started < stops[1].start
 
 
 # --- files --------------------------------------------------------------------------------------------------

@@ -57,6 +57,19 @@ def test_jobs_start_from_any_folder(project, job):
     assert "--out runs/o/" not in done.stdout.replace("runs/o/ranks", "").replace("runs/o/compile", "")
 
 
+@pytest.mark.parametrize("job", JOBS)
+def test_only_chains_may_be_started_again_and_no_log_is_lost(job):
+    """Sites may requeue after a node has failed: the same number, so the same folder, which ``f2s run`` refuses.
+
+    Fails without ``--no-requeue`` in a job that cannot resume, or without ``--open-mode=append`` in any.
+    """
+    lines = (ROOT / f"jobs/{job}.sh").read_text(encoding="utf-8").splitlines()
+    asked = {line.removeprefix("#SBATCH ") for line in lines if line.startswith("#SBATCH ")}
+    resumes = job in ("chain", "wide-100k", "multitrack")
+    assert {"--requeue", "--no-requeue"} & asked == {"--requeue" if resumes else "--no-requeue"}
+    assert "--open-mode=append" in asked
+
+
 @pytest.mark.parametrize("kind", ["strong", "weak"])
 def test_scaling_jobs_refuse_arguments_that_they_would_not_heed(project, kind):
     done = bash([f"jobs/{kind}-scaling.sh", "--set", "domain.cell_size=6 um"], project, DRY_RUN="1")

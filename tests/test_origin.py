@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 
 import pytest
@@ -11,8 +12,9 @@ from f2s_hpc import mpi, origin
 from f2s_hpc._cache import package_hash
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import load_scene
+from f2s_hpc.config.dump import scene_hash
 from f2s_hpc.cycles import output, simulation
-from f2s_hpc.io import runs
+from f2s_hpc.io import checkpoint, layout, runs
 
 
 def git(*words: str) -> str:
@@ -59,3 +61,20 @@ def test_the_origin_is_that_of_the_start(tmp_path, monkeypatch):
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run"), "--set",
                  "output.picture=false"]) == 0
     assert runs.read_summary(tmp_path / "run")["versions"]["sources"] == package_hash()
+
+
+@pytest.mark.mpi
+def test_every_file_says_which_run_it_is_of_and_where_that_ran(shared_path):
+    """Fails if ``identity`` is left out of the checkpoint's attributes, of the summary, or of the frames."""
+    if mpi.is_root():
+        (shared_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    mpi.barrier()
+    folder = shared_path / "run"
+    assert main(["run", str(shared_path / "scene.toml"), "--out", str(folder), "--set", "output.picture=false", "--set",
+                 "cycles.count=1", "--set", "cycles.last_duration=1 ns", "--set", "batches.seed=7"]) == 0
+    scene = load_scene(str(folder / layout.SCENE_FILE))
+    wanted = {"scene_hash": scene_hash(scene), "seed": 7, "host": platform.node(), "ranks": mpi.size()}
+    (newest,) = checkpoint.list_checkpoints(folder / layout.CHECKPOINTS)
+    for told in (runs.open_checkpoint_serial(newest, [])[1], runs.read_summary(folder),
+                 runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(0)).provenance):
+        assert {key: told.get(key) for key in wanted} == wanted

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import types
 
 import numpy as np
 import pytest
@@ -184,6 +185,26 @@ def test_a_signal_to_any_rank_is_the_reason_on_all(name):
         assert StopRequest(1e-9).reason() == "the wall-time budget is spent"
     finally:
         for number, handler in zip(numbers, before):
+            signal.signal(number, handler)
+
+
+def test_the_wall_time_counts_from_the_start_of_the_command_and_leaves_time_to_save(monkeypatch):
+    """Fails if ``_is_spent`` counts from ``start``, or leaves out ``reserve``; or if ``saving`` takes the last time."""
+    before, now = {number: signal.getsignal(number) for number in SIGNALS}, [80.0]
+    monkeypatch.setattr("f2s_hpc.cycles.stop.time", types.SimpleNamespace(monotonic=lambda: now[0]))
+    try:
+        request = StopRequest(60.0, started=70.0)
+        assert (request.elapsed(), request.asked()) == (0.0, False)
+        for took in (15.0, 2.0):
+            with request.saving():
+                now[0] += took
+        now[0] = 115.0
+        assert not request.asked()
+        now[0] = 116.0
+        assert request.asked()  # (15 s are to be left until 130)
+        assert not StopRequest(60.0).asked()
+    finally:
+        for number, handler in before.items():
             signal.signal(number, handler)
 
 

@@ -162,8 +162,10 @@ def test_the_handover_changes_nothing_but_the_new_particles(run_of_each_flight):
     assert "not one bit" in handover_text(found)
 
 
-def test_a_handover_that_loses_strain_is_seen(run_of_each_flight, monkeypatch, capsys):
-    """Fails when changed cells are taken for new ones, or only fields of new cells are compared."""
+def test_a_handover_that_loses_strain_is_seen(run_of_each_flight, tmp_path, monkeypatch, capsys):
+    """Fails when changed cells are taken for new ones, only fields of new cells are compared, or the exit code of
+    ``report`` or ``analyse`` does not tell.
+    """
     from f2s_hpc.cycles import insert
 
     added = insert.add_material
@@ -180,6 +182,10 @@ def test_a_handover_that_loses_strain_is_seen(run_of_each_flight, monkeypatch, c
     assert found.differences["temperature"] == 0.0
     assert main(["analyse", str(run_of_each_flight), "--cutoff", "30 um"]) == 1
     assert "values changed elsewhere, by up to" in capsys.readouterr().out
+    page = tmp_path / "page.html"
+    assert main(["report", str(run_of_each_flight), "--cutoff", "30 um", "--out", str(page)]) == 1
+    assert "hand-over between cycles: cycle 1 to 2" in capsys.readouterr().out
+    assert "values changed elsewhere, by up to" in page.read_text(encoding="utf-8")
 
 
 def test_a_handover_without_a_new_sphere_is_not_checked(ballistic_run, monkeypatch, capsys):

@@ -57,7 +57,8 @@ def check(scene: Scene) -> str:
     text = describe(scene, mpi.size(), parts, painted_volume=volume, particles=particles,
                     more=[("resolution", _resolution_line(scene, plan)),
                           ("memory", _memory_line(scene, balance, plan)), *_tracer_line(scene, particles),
-                          ("imbalance", _balance_line(balance))])
+                          ("imbalance", _balance_line(balance)),
+                          ("run time", "'f2s plan SCENE' foretells it, on any number of ranks")])
     return "\n".join([text, *(f"# note: {message}" for message in [*scene_notes(scene, plan), *plan.messages])])
 
 
@@ -96,14 +97,14 @@ def _balance_line(balance: Balance) -> str:
     return text + ", with even ranges"
 
 
-def run(scene: Scene, out: str) -> int:
-    """Run a scene into the new folder ``out``; return the exit code."""
+def run(scene: Scene, out: str, started: float | None = None) -> int:
+    """Run a scene into the new folder ``out``; return the exit code. ``started``: see ``StopRequest``."""
     place = runs.check_new_folder(out)
     _announce_compiling()
     plan = mpi.run_together(make_batches, scene)
     decomposition_fits(scene)
     # a run that cannot be set up leaves no folder that would pass for one that holds a run
-    simulation = Simulation(scene, place, plan)
+    simulation = Simulation(scene, place, plan, started)
     folder = runs.prepare_run_folder(out)
     _say(f"{scene.title}: {scene.domain.cells[0]} x {scene.domain.cells[1]} x {scene.domain.cells[2]} cells of "
          f"{1e6 * scene.domain.cell_size:g} um on {count_text(mpi.size(), 'rank')}, into {folder}")
@@ -125,9 +126,10 @@ def decomposition_fits(scene: Scene) -> None:
     process_grid(Box(scene.domain.cells, scene.domain.cell_size), mpi.size())
 
 
-def resume(folder: str, overrides: list[str]) -> int:
+def resume(folder: str, overrides: list[str], started: float | None = None) -> int:
     """Continue the run in ``folder`` from its newest valid checkpoint; return the exit code.
 
+    ``started``: see ``StopRequest``.
     Raises ``InputError`` where there is no such folder, or for a setting that can not change on the way;
     ``CheckpointError`` where no checkpoint is valid.
     """
@@ -139,10 +141,10 @@ def resume(folder: str, overrides: list[str]) -> int:
     mpi.run_together(_refuse_other_folders, folder)
     _announce_compiling()
     with runs.hold(folder):
-        return _resume(folder, overrides)
+        return _resume(folder, overrides, started)
 
 
-def _resume(folder: str, overrides: list[str]) -> int:
+def _resume(folder: str, overrides: list[str], started: float | None) -> int:
     mpi.run_together(_may_go_on, pathlib.Path(folder))
     path, skipped = checkpoint.newest_valid_checkpoint(pathlib.Path(folder) / layout.CHECKPOINTS)
     for message in skipped:
@@ -152,7 +154,7 @@ def _resume(folder: str, overrides: list[str]) -> int:
     decomposition_fits(scene)
     own = RunFolder(folder, scene)
     plan, more = plan_of_cycles(own, saved, attributes)
-    simulation = Simulation(scene, folder, plan)
+    simulation = Simulation(scene, folder, plan, started)
     simulation.resume(path)
     if plan is not None or kept not in (None, scene.cycles.count):
         own.write_other_cycles(plan)

@@ -109,8 +109,9 @@ class Batches(Section):
 
     count: Whole = Field(default=0, ge=0, le=10_000, description="number of batches to generate")
     particles: Whole = Field(default=0, ge=0, le=1_000_000, description="particles in each generated batch")
-    files: tuple[str, ...] = Field(default=(), description="CSV files (x,y,z,r in mm; with own velocities vx,vy,vz "
-                                                           "in m/s or without), one per batch")
+    files: tuple[str, ...] = Field(default=(), description="CSV files (x,y,z,r in mm; where spheres have "
+                                                           "their own, vx,vy,vz in m/s and temperature in degC "
+                                                           "too), one per batch")
     spheres: tuple[tuple[Length, Length, Length, PositiveLength], ...] = Field(
         default=(), description="spheres [x, y, z, r], m; z from the bottom of the particle layer")
     distribution: Literal["uniform", "sech"] = Field(
@@ -330,6 +331,7 @@ class Run(Section):
     """The run itself."""
 
     wall_time: Time | None = Field(default=None, examples=["90 min"],
-                                   description="wall time after which the run stops with a checkpoint, s")
+                                   description="wall time from the start of the command, saving included, after which "
+                                               "the run stops with a checkpoint, s")
     checkpoint_interval: Time = Field(
         default=1800.0, description="wall time after which a cycle that still runs gets a checkpoint within, s")

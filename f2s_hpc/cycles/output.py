@@ -65,10 +65,15 @@ class RunFolder:
         """Which code is at work, and on which libraries."""
         return {"version": f2s_hpc.__version__, **mpi.run_together(versions)}
 
+    @functools.cached_property
+    def identity(self) -> dict:
+        """Which run this is and where it is at work, as every file says it: the host is that of rank 0."""
+        return {"scene_hash": scene_hash(self.scene), "seed": self.scene.batches.seed, "host": platform.node(),
+                "ranks": mpi.size()}
+
     def provenance(self) -> dict:
         """Return what every file should say about its origin; rank 0 alone looks it up, all know it."""
-        return {"code": "f2s_hpc", **self.versions, "scene_hash": scene_hash(self.scene),
-                "scene": dump_scene(self.scene), "host": platform.node(), "ranks": mpi.size()}
+        return {"code": "f2s_hpc", **self.versions, **self.identity, "scene": dump_scene(self.scene)}
 
     def write_other_cycles(self, plan: BatchPlan | None) -> None:
         """Write the scene anew for a run whose number of cycles changes, and its batches where it has a new ``plan``.

@@ -11,7 +11,7 @@ import numpy as np
 
 from f2s_hpc import mpi, phases
 from f2s_hpc.build import build_ledger, build_model, build_state
-from f2s_hpc.config.dump import dump_scene, scene_hash
+from f2s_hpc.config.dump import dump_scene
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles import measure
 from f2s_hpc.cycles.finite import refuse_what_is_not_finite
@@ -47,15 +47,17 @@ RUNNING, COMPLETE, TIMEOUT, FAILED = "running", "complete", "timeout", "failed"
 class Simulation:
     """A run of a scene, from its start or from a checkpoint.
 
-    ``plan``: the batches, the same on every rank; None to take them from the run folder. All methods are collective.
+    ``plan``: the batches, the same on every rank; None to take them from the run folder. ``started``: see
+    ``StopRequest``. All methods are collective.
     """
 
-    def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None) -> None:
+    def __init__(self, scene: Scene, folder: str | os.PathLike, plan: BatchPlan | None = None,
+                 started: float | None = None) -> None:
         self.scene = scene
         self.folder = RunFolder(folder, scene)
         self.versions = self.folder.versions  # (now: sources may be edited while the run goes on)
         phases.start()
-        self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE)
+        self.stop = StopRequest(scene.run.wall_time, self.folder.path / STOP_FILE, started)
         self.stages = log.stages()
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
@@ -140,10 +142,10 @@ class Simulation:
         self.substrate_quanta = int(saved["substrate_quanta"])
 
     def _attributes(self) -> dict:
-        """Return all that a resumed run needs besides the fields; the same on any rank count."""
+        """Return all that a resumed run needs besides the fields, the same on any rank count, and whence it comes."""
         clock, rates = self.clock, self.clock.limits.over_ranks()
         return {
-            "scene": dump_scene(self.scene), "scene_hash": scene_hash(self.scene), "versions": self.versions,
+            "scene": dump_scene(self.scene), **self.folder.identity, "versions": self.versions,
             "step": clock.steps,
             "clock": {"cycle_start": clock.cycle_start, "in_cycle": clock.in_cycle, "steps": clock.steps,
                       "remaps": clock.remaps, "between_remaps": clock.between_remaps, "dt": clock.dt,
@@ -231,7 +233,8 @@ class Simulation:
                 if clock.stop:
                     self._index_view()
                     return False
-        self._finish_cycle(duration)
+        with self.stop.saving():
+            self._finish_cycle(duration)
         if not clock.stop or self.cycle == self.scene.cycles.count:
             return True
         self.progress.say(f"stopped: {self.stop.reason()}")
@@ -261,7 +264,8 @@ class Simulation:
     def _save(self, stops: bool) -> None:
         """Write a checkpoint within a cycle or a dwell, and say so."""
         refuse_what_is_not_finite(self.state)
-        path = self._checkpoint()
+        with self.stop.saving():
+            path = self._checkpoint()
         self.progress.say((f"stopped: {self.stop.reason()}; " if stops else "") + f"checkpoint {path}")
 
     def _request(self) -> int:
@@ -394,6 +398,6 @@ class Simulation:
         keep = {name: value for name, value in row.items() if name not in ("cycle", "dt_s", "dt_limit")}
         age, memory = self.startup or (process_age(), peak_memory())
         keep |= {"startup_s": float(mpi.maximum(age)), "startup_memory_bytes": int(mpi.total(np.int64(memory)))}
-        return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, "ranks": mpi.size(),
+        return {"status": self.status, "scene": self.scene.title, "scheme": self.scene.scheme, **self.folder.identity,
                 "cells": int(np.prod(self.scene.domain.cells)), "cycles": self.cycle, **keep,
                 "versions": self.versions}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import signal
 import time
+from collections.abc import Iterator
 
 from f2s_hpc import mpi
 
@@ -19,13 +21,18 @@ LOOK_FOR_FILE = 2.0
 class StopRequest:
     """Remembers that this rank was asked to stop.
 
-    ``wall_time``: budget in seconds from the creation of this object, or None. ``file``: rank 0 looks now and then
-    whether it exists, None for no such file. SIGUSR1 and SIGTERM (what batch systems send before they kill) ask for a
-    stop with a checkpoint, and so do SIGHUP (the terminal has gone; not under nohup) and the first Ctrl-C.
+    ``wall_time``: budget in seconds, or None; from ``started`` on, what ``time.monotonic`` gave at the start of the
+    command (None: from now on), and with as much left at the end as saving has taken at most so far in this session.
+    ``file``: rank 0 looks now and then whether it exists, None for no such file. SIGUSR1 and SIGTERM (what batch
+    systems send before they kill) ask for a stop with a checkpoint, and so do SIGHUP (the terminal has gone; not under
+    nohup) and the first Ctrl-C.
     """
 
-    def __init__(self, wall_time: float | None, file: pathlib.Path | None = None) -> None:
+    def __init__(self, wall_time: float | None, file: pathlib.Path | None = None,
+                 started: float | None = None) -> None:
         self.start = time.monotonic()
+        self.started = self.start if started is None else started
+        self.reserve = 0.0
         self.wall_time = wall_time
         self.file = file if mpi.is_root() else None
         self.next_look = self.start
@@ -41,13 +48,22 @@ class StopRequest:
             signal.signal(number, signal.SIG_DFL)
 
     def elapsed(self) -> float:
-        """Return the wall time since the start (s)."""
+        """Return the wall time of this session (s): since the creation of this object."""
         return time.monotonic() - self.start
+
+    @contextlib.contextmanager
+    def saving(self) -> Iterator[None]:
+        """Measure how long what is done meanwhile takes: the budget must leave that much for the last time."""
+        began = time.monotonic()
+        yield
+        self.reserve = max(self.reserve, time.monotonic() - began)
+
+    def _is_spent(self) -> bool:
+        return self.wall_time is not None and time.monotonic() - self.started + self.reserve > self.wall_time
 
     def asked(self) -> bool:
         """Tell whether this rank wants the run to stop."""
-        spent = self.wall_time is not None and self.elapsed() > self.wall_time
-        return self.signalled is not None or spent or self._file_is_there()
+        return self.signalled is not None or self._is_spent() or self._file_is_there()
 
     def _file_is_there(self) -> bool:
         if self.file is not None and not self.found_file and (now := time.monotonic()) >= self.next_look:

@@ -1,4 +1,4 @@
-"""Compare two runs: every frame, every common checkpoint and the cycle table, field by field, bit by bit.
+"""Compare two runs, field by field, bit by bit: frames, view, tracers, common checkpoints and the cycle table.
 
 Serial, from the files. How a run was computed (ranks, wall time, memory, speed) is not a result and is
 left out; what it computed must be equal in every bit for the runs to be ``identical``.
@@ -10,7 +10,7 @@ import math
 import os
 import pathlib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,10 +28,11 @@ from f2s_hpc.io.runs import (
     read_frame_meta,
     within_dwell,
 )
+from f2s_hpc.io.tracers import list_tracers, read_columns, tracer_path
 
 NOT_A_RESULT = re.compile(r"wall_s|startup_s|.*_per_s|ranks|.*memory.*|eta.*|active_.*|imbalance|phases.*")
 NOT_A_RESULT_ATTRIBUTE = re.compile(NOT_A_RESULT.pattern + r"|.*(wall|rank|host|unix|elapsed|resum|version|created).*"
-                                    r"|batches\.(cycles|sha256)")
+                                    r"|seed|batches\.(cycles|sha256)")
 INTEGER = re.compile(r"[+-]?[0-9]+")
 VALUES_AT_ONCE = 1 << 20
 
@@ -133,22 +134,46 @@ def _numbers(value: object, path: str = "") -> Iterator[tuple[str, object]]:
         yield path, int(value)
 
 
-def _compare_frames(result: Comparison) -> None:
-    numbers = [set(list_frames(folder)) for folder in (result.first, result.second)]
-    for number in sorted(numbers[0] ^ numbers[1]):
-        absent = result.second if number in numbers[0] else result.first
-        result.missing.append(f"{absent / layout.FRAMES / layout.frame_name(number)}")
-    for number in sorted(numbers[0] & numbers[1]):
-        place, name = f"frame {number}", layout.frame_name(number)
+def _numbers_of_both(result: Comparison, found: list[set[int]], path: Callable[[pathlib.Path, int], pathlib.Path]
+                     ) -> list[int]:
+    """Return the numbers that both runs have, ascending; note the others, whose ``path`` is given, as missing."""
+    for number in sorted(found[0] ^ found[1]):
+        result.missing.append(f"{path(result.second if number in found[0] else result.first, number)}")
+    return sorted(found[0] & found[1])
+
+
+def _compare_frames(result: Comparison, series: str) -> None:
+    """Compare the frames of one of ``layout.SERIES``."""
+    folders = (result.first, result.second)
+    found = [set(list_frames(folder, series)) for folder in folders]
+    for number in _numbers_of_both(result, found, lambda folder, n: folder / series / layout.frame_name(n)):
+        place = f"{'frame' if series == layout.FRAMES else series} {number}"
         try:
-            metas = [read_frame_meta(folder / layout.FRAMES / name) for folder in (result.first, result.second)]
+            metas = [read_frame_meta(folder / series / layout.frame_name(number)) for folder in folders]
             cycle = metas[0].provenance.get("cycle")
             for key in ("time_s", "cells", "origin", "spacing"):
                 one, two = (np.atleast_1d(np.array(getattr(meta, key), dtype=np.float64)) for meta in metas)
                 result.differences.append(compare_arrays(place, cycle, key, one, two))
             for key in _common(result, place, metas[0].locations, metas[1].locations):
-                one, two = (open_frame(folder, number, [key])[0][key] for folder in (result.first, result.second))
+                one, two = (open_frame(folder, number, [key], series)[0][key] for folder in folders)
                 result.differences.append(compare_arrays(place, cycle, key, one, two))
+        except F2SError as error:
+            result.missing.append(str(error))
+
+
+def _compare_tracers(result: Comparison) -> None:
+    """Compare the points of the particles at the ends of cycles."""
+    folders = (result.first, result.second)
+    found = [set(list_tracers(folder)) for folder in folders]
+    for cycle in _numbers_of_both(result, found, tracer_path):
+        place = f"tracers of cycle {cycle}"
+        try:
+            tables = []
+            for folder in folders:
+                columns, time = read_columns(tracer_path(folder, cycle))
+                tables.append({"time_s": np.array([time])} | columns)
+            for key in _common(result, place, *tables):
+                result.differences.append(compare_arrays(place, cycle, key, tables[0][key], tables[1][key]))
         except F2SError as error:
             result.missing.append(str(error))
 
@@ -221,7 +246,7 @@ def _compare_tables(result: Comparison) -> None:
 
 
 def compare_runs(first: str | os.PathLike, second: str | os.PathLike) -> Comparison:
-    """Compare two run folders: all frames, common checkpoints, and the result columns of the cycle table.
+    """Compare two run folders: frames, view, tracers, common checkpoints, result columns of the cycle table.
 
     Raises ``InputError`` when one of them is not a folder, or holds no run.
     """
@@ -230,7 +255,9 @@ def compare_runs(first: str | os.PathLike, second: str | os.PathLike) -> Compari
         places.run_folder(folder)
         if not (list_frames(folder) or list_checkpoints(folder / layout.CHECKPOINTS) or read_cycle_table(folder)):
             raise InputError(f"{folder}: holds no frames, checkpoints or {layout.SUMMARY_CSV}; name a run's folder")
-    _compare_frames(result)
+    for series in layout.SERIES:
+        _compare_frames(result, series)
+    _compare_tracers(result)
     _compare_checkpoints(result)
     _compare_tables(result)
     return result

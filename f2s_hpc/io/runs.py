@@ -195,16 +195,16 @@ def read_frame_meta(path: str | os.PathLike) -> FrameMeta:
         raise F2SError(f"{path}: not a readable frame ({' '.join(str(error).split())})") from None
 
 
-def open_frame(folder: str | os.PathLike, number: int,
-               names: Sequence[str] | None = None) -> tuple[dict[str, np.ndarray], FrameMeta]:
+def open_frame(folder: str | os.PathLike, number: int, names: Sequence[str] | None = None,
+               frames: str = layout.FRAMES) -> tuple[dict[str, np.ndarray], FrameMeta]:
     """Return the fields of a frame, float32 [k, j, i], and what the frame is.
 
-    ``folder`` is the run folder; ``names`` picks fields (default: all). Raises ``InputError`` when the
-    frame or a field is missing, ``F2SError`` when the file is damaged.
+    ``folder`` is the run folder, ``frames`` the series; ``names`` picks fields (default: all). Raises ``InputError``
+    when the frame or a field is missing, ``F2SError`` when the file is damaged.
     """
-    path = pathlib.Path(folder) / layout.FRAMES / layout.frame_name(number)
+    path = pathlib.Path(folder) / frames / layout.frame_name(number)
     if places.kind(path) == places.NOTHING:
-        numbers = list_frames(folder)
+        numbers = list_frames(folder, frames)
         raise InputError(f"{path}: no such frame; {'this run has frames ' + str(numbers) if numbers else 'no frames'}")
     meta = read_frame_meta(path)
     for name in names or ():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 from dataclasses import dataclass
 
 import h5py
@@ -20,9 +21,11 @@ from f2s_hpc.io import layout
 from f2s_hpc.io.layout import POINT_DATA, PROVENANCE, VTK_ROOT, Block, attempt_on_root
 
 _TABLE = f"{layout.PROVENANCE_GROUP}/particles"
+_PARTICLES = ("diameter", "centre", "time", "cut")
 _POINTS = {"Points": "f4", f"{POINT_DATA}/particle": "i4", f"{POINT_DATA}/diameter": "f4",
            f"{POINT_DATA}/volume_fraction": "f4", f"{POINT_DATA}/peeq": "f4", f"{POINT_DATA}/temperature": "f4"}
 _UNITS = ("m", None, "m", "1", "1", "K")
+_NAME = re.compile(r"tracers_(\d+)\.vtkhdf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,7 @@ class ParticleTable:
     def with_more(self, more: ParticleTable) -> ParticleTable:
         """Return this table with those of ``more`` behind its own."""
         return ParticleTable(*(np.concatenate([getattr(self, name), getattr(more, name)])
-                               for name in ("diameter", "centre", "time", "cut")))
+                               for name in _PARTICLES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,15 @@ class TracerCloud:
 def tracer_path(folder: str | os.PathLike, cycle: int) -> pathlib.Path:
     """Return the file of the points at the end of ``cycle`` in the run folder ``folder``."""
     return pathlib.Path(folder) / layout.TRACERS / f"tracers_{cycle:06d}.vtkhdf"
+
+
+def list_tracers(folder: str | os.PathLike) -> list[int]:
+    """Return the cycles at whose ends there are points in the run folder ``folder``, ascending.
+
+    Raises ``InputError`` when they are not ours to read.
+    """
+    matches = (_NAME.fullmatch(path.name) for path in places.entries(pathlib.Path(folder) / layout.TRACERS))
+    return sorted(int(match[1]) for match in matches if match is not None)
 
 
 def write_tracers(folder: str | os.PathLike, cycle: int, cloud: TracerCloud, provenance: dict) -> pathlib.Path:
@@ -127,7 +139,7 @@ def _prepare(file: h5py.File, cycle: int, cloud: TracerCloud) -> None:
     own.attrs["cycle"] = np.int64(cycle)
     own.attrs["time_s"] = np.float64(cloud.time)
     table = file.create_group(_TABLE)
-    for name in ("diameter", "centre", "time", "cut"):
+    for name in _PARTICLES:
         array = getattr(cloud.particles, name)
         _filled(table, name, array.astype("i1") if name == "cut" else array)
 
@@ -146,6 +158,20 @@ def _counted(group: h5py.Group, name: str, size: int) -> None:
         dataset[...] = np.arange(size, dtype=np.int64)
 
 
+def read_columns(path: pathlib.Path) -> tuple[dict[str, np.ndarray], float]:
+    """Return the columns of points and particles as the file ``path`` holds them, and their time (s). No MPI.
+
+    Those of particles are called ``particles/diameter`` and so on. Raises ``F2SError`` for a file that cannot be read.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            columns = {name.rpartition("/")[2]: file[f"{VTK_ROOT}/{name}"][...] for name in _POINTS}
+            columns |= {f"particles/{name}": file[f"{_TABLE}/{name}"][...] for name in _PARTICLES}
+            return columns, float(file[layout.PROVENANCE_GROUP].attrs["time_s"])
+    except (OSError, KeyError) as error:
+        raise F2SError(f"{path}: damaged file of tracers ({' '.join(str(error).split())})") from None
+
+
 def read_tracers(folder: str | os.PathLike, cycle: int) -> TracerCloud | None:
     """Return the points at the end of ``cycle`` of the run in ``folder``; None when there is no such file. No MPI.
 
@@ -154,13 +180,9 @@ def read_tracers(folder: str | os.PathLike, cycle: int) -> TracerCloud | None:
     path = tracer_path(folder, cycle)
     if places.kind(path) == places.NOTHING:
         return None
-    try:
-        with h5py.File(path, "r") as file:
-            position, particle, _, *rest = (file[f"{VTK_ROOT}/{name}"][...] for name in _POINTS)
-            table = {name: file[f"{_TABLE}/{name}"][...] for name in ("diameter", "centre", "time", "cut")}
-            time = float(file[layout.PROVENANCE_GROUP].attrs["time_s"])
-    except (OSError, KeyError) as error:
-        raise F2SError(f"{path}: damaged file of tracers ({' '.join(str(error).split())})") from None
+    columns, time = read_columns(path)
+    table = {name: columns[f"particles/{name}"] for name in _PARTICLES}
     table["cut"] = table["cut"].astype(np.bool_)
-    return TracerCloud(time, particle.astype(np.int64), position.astype(float), *rest, ParticleTable(**table),
-                       (0, particle.size))
+    return TracerCloud(time, columns["particle"].astype(np.int64), columns["Points"].astype(float),
+                       columns["volume_fraction"], columns["peeq"], columns["temperature"], ParticleTable(**table),
+                       (0, columns["particle"].size))

@@ -91,14 +91,20 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
     drawn = draw_all(place, [("", found)])
     print(f"written to {place}: analysis.json, {', '.join(sorted(p.name for p in place.glob('*.csv')))}, "
           f"{sum(map(len, drawn.values()))} figures")
-    return 1 if found.handover is not None and found.handover.different else 0
+    return _exit_code([found])
+
+
+def _exit_code(found: Sequence[Measurements]) -> int:
+    """Return 1 when the hand-over of any of the runs, where it was checked, changed anything, else 0."""
+    return int(any(m.handover is not None and m.handover.different for m in found))
 
 
 def report(folder: str, settings: Settings, second: str | None = None, cycle: int | None = None,
            experiment: str | None = None, out: str | None = None, handover: bool = True) -> int:
     """Write the page about the run in ``folder``, beside a ``second`` one if given; return the exit code.
 
-    ``out``: the HTML file, default ``report.html`` in the run's folder.
+    ``out``: the HTML file, default ``report.html`` in the run's folder. The exit code is that of :func:`analyse`, for
+    either run.
     """
     alone("report")
     profile = read_profile(experiment) if experiment else None
@@ -112,8 +118,11 @@ def report(folder: str, settings: Settings, second: str | None = None, cycle: in
     places.write_text(path, page)
     for text in facts.findings(runs):
         print(text)
+    for label, found in runs:
+        if _exit_code([found]):
+            print(f"{label + ': ' if label else ''}hand-over between cycles: {facts.handover_text(found.handover)}")
     print(f"report {path} ({len(page) / 1e6:.1f} MB, one file, opens without network)")
-    return 0
+    return _exit_code([found for _, found in runs])
 
 
 def compare_measurements(first: str, second: str, settings: Settings) -> str:
