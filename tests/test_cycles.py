@@ -9,11 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_mishaps import stop_when
 
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import parse_scene
 from f2s_hpc.config.describe import checkpoint_bytes, frame_count
-from f2s_hpc.cycles import progress
+from f2s_hpc.cycles import output, progress
 from f2s_hpc.cycles.supply import Supply
 from f2s_hpc.cycles.tracers import PLACES, bytes_saved
 from f2s_hpc.io import layout, runs
@@ -98,6 +99,27 @@ def test_the_cycle_table_holds_every_digit_of_the_summary(run):
     for name, value in summary["energy"].items():
         assert float(row[f"energy_{name}_J"]) == value, name
     assert float(row["dense_height_m"]) == summary["dense_height_m"]
+
+
+@pytest.mark.parametrize(("settings", "stopped", "begins"), [
+    ([], True, "2 particles, "), (["output.frame_interval=25 ns", 'output.frames="none"'], False, "within cycle 3, ")])
+def test_the_picture_tells_of_the_frame_that_it_shows(run, monkeypatch, settings, stopped, begins):
+    """A stop in the second cycle, whose batch no frame has yet; and frames that come at their own times only.
+
+    Fails when the caption is of the present state: 4 particles at the time of the stop, 6 at the end.
+    """
+    captions = []
+    monkeypatch.setattr(output.picture, "draw", lambda *values, **_: captions.append(values[4]))
+    if stopped:
+        stop_when(lambda clock: clock.cycle_start > 0.0 and clock.in_cycle > 1e-9, monkeypatch)
+    folder = run(75 if stopped else 0, "output.picture=true", "cycles.duration=30 ns", *settings)
+    (caption,) = captions
+    newest = runs.list_frames(folder)[-1]
+    time = runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(newest)).time_s
+    assert caption.startswith(f"{begins}{1e6 * time:.2f} µs, ")
+    row = runs.read_cycle_table(folder)[0]
+    assert (f"dense height {1e6 * float(row['dense_height_m']):.1f} µm" in caption) is stopped
+    assert time < runs.read_summary(folder)["time_s"]
 
 
 def test_what_check_foretells_of_files_is_what_they_take(run):

@@ -94,8 +94,8 @@ def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys
 def test_a_picture_after_each_cycle_if_asked_for(tmp_path, monkeypatch):
     """Fails when ``_finish_cycle`` draws none, or one more at the end."""
     drawn, draw = [], RunFolder._draw
-    monkeypatch.setattr(RunFolder, "_draw", lambda self, summary, *more: (drawn.append(summary["cycles"]),
-                                                                          draw(self, summary, *more)))
+    monkeypatch.setattr(RunFolder, "_draw",
+                        lambda self, rows, *more: (drawn.append(len(rows)), draw(self, rows, *more)))
     (tmp_path / "scene.toml").write_text(QUICK, encoding="utf-8")
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run"), "--set",
                  "output.picture_each_cycle=true"]) == 0

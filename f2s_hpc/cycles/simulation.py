@@ -193,9 +193,8 @@ class Simulation:
             with contextlib.suppress(F2SError):  # (what went wrong first is to be told)
                 self._index_view()
             raise
-        summary = self.summary()
-        self.folder.write_tables(self.rows, summary)
-        self.picture = self.folder.draw(summary, self.plan)
+        self.folder.write_tables(self.rows, self.summary())
+        self.picture = self.folder.draw(self.rows, self.plan)
         return self.status
 
     def _run_cycle(self) -> bool:
@@ -314,14 +313,13 @@ class Simulation:
                 self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
         except F2SError as error:  # a picture of the state that can not be written must not cost the state
             failure = error
-        summary = self.summary()
-        self.folder.write_tables(self.rows, summary)
+        self.folder.write_tables(self.rows, self.summary())
         if output.checkpoints or clock.stop or failure:
             self._checkpoint()
         if failure:
             raise failure
         if output.picture_each_cycle and self.cycle < self.scene.cycles.count:
-            self.folder.draw(summary, self.plan)
+            self.folder.draw(self.rows, self.plan)
         trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         # (none as long as nothing has landed)
