@@ -180,6 +180,7 @@ class Simulation:
                                  scene.output.progress_seconds, mpi.launched_by_mpirun())
         for message in self.plan.messages:
             self.progress.say(f"note: {message}")
+        self.folder.write_tables(self.rows, self.summary())  # (who looks should find a run that goes on)
         try:
             while self.cycle < scene.cycles.count:
                 if not self._run_cycle():
