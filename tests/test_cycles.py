@@ -199,7 +199,7 @@ def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
     """
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = progress.Progress(True, 1e-6, 0.5e-6, 10.0)
+    line = progress.Progress(True, lambda time: time / 1e-6, 10.0)
     clock = SimpleNamespace(time=0.5e-6, in_cycle=0.1e-6, steps=7, dt=1e-10, limit="sound",
                             limits=SimpleNamespace(heavy_speed=615.0))
     now[0] = 130.0
@@ -216,14 +216,37 @@ def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
     now[0], clock.time = 150.0, 0.6e-6
     line.step(clock, 1, 2, 0.5e-6)
     said = capsys.readouterr().out
-    assert re.search(r"cycle 2/2 .* 60\.0 %  ETA 0:01:20$", said.strip())
+    assert re.search(r"cycle 2/2 .* 60\.0 % of the work  ETA 0:01:20$", said.strip())
+
+
+def test_the_share_that_is_done_is_one_of_the_work(run, capsys):
+    """Of the cell-steps that there will be, within a few per cent, not of the time, of which each cycle is a third.
+
+    Fails when ``load_and_course`` leaves out the cells of a moment, or ``step`` tells of the time. After a resume too.
+    """
+    folder = run(0, "output.progress_seconds=1 ns", "cycles.duration=100 ns", "particles.flight=ballistic",
+                 "domain.substrate_height=4 um")
+    said = capsys.readouterr().out
+    done = [int(row["active_cell_steps"]) for row in runs.read_cycle_table(folder)]
+    told = [float(re.findall(rf"cycle {n}/3 .* ([\d.]+) % of the work", said)[-1]) for n in (1, 2, 3)]
+    assert told == pytest.approx([100.0 * steps / done[-1] for steps in done], abs=3.0)
+    assert told[2] == 100.0
+    assert told[0] < 28.0
+    first = list_checkpoints(folder / layout.CHECKPOINTS)[-2]
+    for path in list_checkpoints(folder / layout.CHECKPOINTS):
+        if path != first:
+            path.unlink()
+    assert main(["resume", str(folder)]) == 0
+    again = re.findall(r"cycle \d/3 .* ([\d.]+) % of the work", capsys.readouterr().out)
+    assert float(again[0]) > told[1]
+    assert float(again[-1]) == 100.0
 
 
 def test_a_dwell_tells_how_far_it_is(monkeypatch, capsys):
     """As often as steps do; fails when a dwell of minutes is silent, or says so after each super step."""
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = progress.Progress(True, 1e-6, 0.0, 10.0)
+    line = progress.Progress(True, lambda time: time / 1e-6, 10.0)
     for now[0], left in ((5.0, 9e-3), (11.0, 7.5e-3), (12.0, 5e-3)):
         line.dwell(left, 10e-3, 2, 9)
     assert capsys.readouterr().out == "dwell after cycle 2/9   25.0 % of 10 ms\n"
@@ -233,7 +256,7 @@ def test_the_fastest_particle_may_not_be_on_the_grid_yet(monkeypatch, capsys):
     """Fails when ``step`` prints the grid's speed alone: "fastest 0 m/s" while all particles fly at 615 m/s."""
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = progress.Progress(True, 1e-6, 0.0, 10.0)
+    line = progress.Progress(True, lambda time: time / 1e-6, 10.0)
     clock = SimpleNamespace(time=0.6e-6, in_cycle=0.1e-6, steps=7, dt=1e-10, limit="sound",
                             limits=SimpleNamespace(heavy_speed=0.0))
     now[0] = 20.0
