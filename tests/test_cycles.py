@@ -10,12 +10,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_mishaps import stop_when
 
 from f2s_hpc.cli import tasks
 from f2s_hpc.cli.main import main
 from f2s_hpc.config import parse_scene
 from f2s_hpc.config.describe import checkpoint_bytes, frame_count
-from f2s_hpc.cycles import progress, simulation
+from f2s_hpc.cycles import output, progress, simulation
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
@@ -140,6 +141,27 @@ def test_the_cycle_table_holds_every_digit_of_the_summary(run):
     assert float(row["dense_height_m"]) == summary["dense_height_m"]
 
 
+@pytest.mark.parametrize(("settings", "stopped", "begins"), [
+    ([], True, "2 particles, "), (["output.frame_interval=25 ns", 'output.frames="none"'], False, "within cycle 3, ")])
+def test_the_picture_tells_of_the_frame_that_it_shows(run, monkeypatch, settings, stopped, begins):
+    """A stop in the second cycle, whose batch no frame has yet; and frames that come at their own times only.
+
+    Fails when the caption is of the present state: 4 particles at the time of the stop, 6 at the end.
+    """
+    captions = []
+    monkeypatch.setattr(output.picture, "draw", lambda *values, **_: captions.append(values[4]))
+    if stopped:
+        stop_when(lambda clock: clock.cycle_start > 0.0 and clock.in_cycle > 1e-9, monkeypatch)
+    folder = run(75 if stopped else 0, "output.picture=true", "cycles.duration=30 ns", *settings)
+    (caption,) = captions
+    newest = runs.list_frames(folder)[-1]
+    time = runs.read_frame_meta(folder / layout.FRAMES / layout.frame_name(newest)).time_s
+    assert caption.startswith(f"{begins}{1e6 * time:.2f} µs, ")
+    row = runs.read_cycle_table(folder)[0]
+    assert (f"dense height {1e6 * float(row['dense_height_m']):.1f} µm" in caption) is stopped
+    assert time < runs.read_summary(folder)["time_s"]
+
+
 def test_what_check_foretells_of_files_is_what_they_take(run):
     """Fails when nodes are counted as cells in ``checkpoint_bytes``, or one of three places in ``bytes_saved``."""
     folder = run(0, "output.tracers=50")
@@ -217,7 +239,7 @@ def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
     """
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = progress.Progress(True, 1e-6, 0.5e-6, 10.0)
+    line = progress.Progress(True, lambda time: time / 1e-6, 10.0)
     clock = SimpleNamespace(time=0.5e-6, in_cycle=0.1e-6, steps=7, dt=1e-10, limit="sound",
                             limits=SimpleNamespace(heavy_speed=615.0))
     now[0] = 130.0
@@ -234,14 +256,37 @@ def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
     now[0], clock.time = 150.0, 0.6e-6
     line.step(clock, 1, 2, 0.5e-6)
     said = capsys.readouterr().out
-    assert re.search(r"cycle 2/2 .* 60\.0 %  ETA 0:01:20$", said.strip())
+    assert re.search(r"cycle 2/2 .* 60\.0 % of the work  ETA 0:01:20$", said.strip())
+
+
+def test_the_share_that_is_done_is_one_of_the_work(run, capsys):
+    """Of the cell-steps that there will be, within a few per cent, not of the time, of which each cycle is a third.
+
+    Fails when ``load_and_course`` leaves out the cells of a moment, or ``step`` tells of the time. After a resume too.
+    """
+    folder = run(0, "output.progress_seconds=1 ns", "cycles.duration=100 ns", "particles.flight=ballistic",
+                 "domain.substrate_height=4 um")
+    said = capsys.readouterr().out
+    done = [int(row["active_cell_steps"]) for row in runs.read_cycle_table(folder)]
+    told = [float(re.findall(rf"cycle {n}/3 .* ([\d.]+) % of the work", said)[-1]) for n in (1, 2, 3)]
+    assert told == pytest.approx([100.0 * steps / done[-1] for steps in done], abs=3.0)
+    assert told[2] == 100.0
+    assert told[0] < 28.0
+    first = list_checkpoints(folder / layout.CHECKPOINTS)[-2]
+    for path in list_checkpoints(folder / layout.CHECKPOINTS):
+        if path != first:
+            path.unlink()
+    assert main(["resume", str(folder)]) == 0
+    again = re.findall(r"cycle \d/3 .* ([\d.]+) % of the work", capsys.readouterr().out)
+    assert float(again[0]) > told[1]
+    assert float(again[-1]) == 100.0
 
 
 def test_a_dwell_tells_how_far_it_is(monkeypatch, capsys):
     """As often as steps do; fails when a dwell of minutes is silent, or says so after each super step."""
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = progress.Progress(True, 1e-6, 0.0, 10.0)
+    line = progress.Progress(True, lambda time: time / 1e-6, 10.0)
     for now[0], left in ((5.0, 9e-3), (11.0, 7.5e-3), (12.0, 5e-3)):
         line.dwell(left, 10e-3, 2, 9)
     assert capsys.readouterr().out == "dwell after cycle 2/9   25.0 % of 10 ms\n"
@@ -251,7 +296,7 @@ def test_the_fastest_particle_may_not_be_on_the_grid_yet(monkeypatch, capsys):
     """Fails when ``step`` prints the grid's speed alone: "fastest 0 m/s" while all particles fly at 615 m/s."""
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = progress.Progress(True, 1e-6, 0.0, 10.0)
+    line = progress.Progress(True, lambda time: time / 1e-6, 10.0)
     clock = SimpleNamespace(time=0.6e-6, in_cycle=0.1e-6, steps=7, dt=1e-10, limit="sound",
                             limits=SimpleNamespace(heavy_speed=0.0))
     now[0] = 20.0

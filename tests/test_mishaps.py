@@ -8,6 +8,7 @@ import pathlib
 import shutil
 import signal
 import subprocess
+import sys
 
 import h5py
 import numpy as np
@@ -94,8 +95,8 @@ def test_checkpoints_within_a_cycle_change_nothing(finished, shared_path, capsys
 def test_a_picture_after_each_cycle_if_asked_for(tmp_path, monkeypatch):
     """Fails when ``_finish_cycle`` draws none, or one more at the end."""
     drawn, draw = [], RunFolder._draw
-    monkeypatch.setattr(RunFolder, "_draw", lambda self, summary, *more: (drawn.append(summary["cycles"]),
-                                                                          draw(self, summary, *more)))
+    monkeypatch.setattr(RunFolder, "_draw",
+                        lambda self, rows, *more: (drawn.append(len(rows)), draw(self, rows, *more)))
     (tmp_path / "scene.toml").write_text(QUICK, encoding="utf-8")
     assert main(["run", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run"), "--set",
                  "output.picture_each_cycle=true"]) == 0
@@ -299,6 +300,56 @@ def test_a_folder_in_which_a_run_is_at_work_is_not_called_lost(copy):  # noqa: F
         runs.check_new_folder(copy)
     with pytest.raises(InputError, match="holds a run already"):
         runs.check_new_folder(copy)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("cycle", [0, 1])
+def test_inspect_tells_a_run_under_way_from_one_that_was_killed(shared_path, capsys, monkeypatch, scene, cycle):
+    """In its first cycle, before it has a checkpoint, and in its second; what kills it leaves it no time to say so.
+
+    Fails when ``run`` writes no summary at its start, or ``inspect`` believes what that says.
+    """
+    folder, advance = shared_path / "run", simulation.advance
+
+    def inspected() -> list[str]:
+        capsys.readouterr()
+        assert main(["inspect", str(folder)]) == 0
+        return capsys.readouterr().out.splitlines()
+
+    def killed(state, model, clock, *more):
+        advance(state, model, clock, *more)
+        if (clock.cycle_start > 0.0) == bool(cycle):
+            said = inspected()
+            assert not mpi.is_root() or ": running, " in said[0]
+            raise RuntimeError
+
+    monkeypatch.setattr(simulation, "advance", killed)
+    with pytest.raises(RuntimeError):
+        main(["run", scene, "--out", str(folder)])
+    said = inspected()
+    hint = f"go on with: f2s resume {folder}" if cycle else "no checkpoint to go on from; remove it"
+    assert not mpi.is_root() or (": interrupted, " in said[0] and hint in said[1])
+    if not cycle:
+        return
+    monkeypatch.setattr(simulation, "advance", advance)
+    assert main(["resume", str(folder)]) == 0
+    said = inspected()
+    assert not mpi.is_root() or ": complete, " in said[0]
+
+
+@pytest.mark.parametrize("why", ["another machine", "no locks"])
+def test_inspect_calls_no_run_interrupted_that_may_go_on(copy, capsys, monkeypatch, why):  # noqa: F811
+    """Fails when ``at_work`` does not look which machine held the lock last, or takes a missing lock for a free one."""
+    edit(copy / layout.SUMMARY_JSON, status="running")
+    assert runs.at_work(copy) is False
+    if why == "no locks":
+        monkeypatch.setitem(sys.modules, "fcntl", None)
+    else:
+        (copy / layout.LOCK).write_text("another", encoding="ascii")
+    assert main(["inspect", str(copy)]) == 0
+    said = capsys.readouterr().out
+    assert ": running, or interrupted, " in said
+    assert f"if not, go on with: f2s resume {copy}" in said
 
 
 @pytest.mark.mpi

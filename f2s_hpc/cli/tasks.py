@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import pathlib
+import shlex
 
 from f2s_hpc import mpi, places
 from f2s_hpc._jit import is_compiled
@@ -16,7 +17,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.lengthen import plan_of_cycles
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import tell
-from f2s_hpc.cycles.simulation import COMPLETE, Simulation
+from f2s_hpc.cycles.simulation import COMPLETE, RUNNING, Simulation
 from f2s_hpc.cycles.tracers import bytes_saved
 from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
@@ -315,6 +316,17 @@ def _counted(number: object, noun: str) -> str:
     return count_text(number, noun) if isinstance(number, int) else f"{number} {noun}s"
 
 
+def _standing(folder: str, status: object) -> tuple[object, list[str]]:
+    """Return how the run in ``folder`` stands, and what to do then; ``status``: what it said last."""
+    if status != RUNNING or (busy := runs.at_work(folder)):
+        return status, []
+    go_on = (f"go on with: f2s resume {shlex.quote(str(folder))}" if runs.has_checkpoint(pathlib.Path(folder)) else
+             "it has no checkpoint to go on from; remove it and run it anew")
+    if busy is None:
+        return "running, or interrupted", [f"whether it is still at work cannot be told from here; if not, {go_on}"]
+    return "interrupted", [f"nothing is at work in it any more; {go_on}"]
+
+
 def inspect(folder: str) -> int:
     """Print the cycle table and the status of a run; rank 0 only. Raises ``InputError`` where there is no run."""
     def read() -> str:
@@ -333,9 +345,10 @@ def inspect(folder: str) -> int:
             table = format_table(rows)
         except InputError as error:
             raise InputError(f"{pathlib.Path(folder) / layout.SUMMARY_CSV}: {error}") from None
-        head = (f"{summary['scene']}: {summary['status']}, {_counted(summary['particles'], 'particle')}, "
+        status, hints = _standing(folder, summary["status"])
+        head = (f"{summary['scene']}: {status}, {_counted(summary['particles'], 'particle')}, "
                 f"{_counted(summary['ranks'], 'rank')}")
-        return "\n".join([head, *spent, table, TABLE_KEY])
+        return "\n".join([head, *hints, *spent, table, TABLE_KEY])
 
     _say(mpi.run_together(read))
     return 0

@@ -215,8 +215,8 @@ class RunFolder:
             _note(error)
 
     @phase("output")
-    def draw(self, summary: dict, plan: BatchPlan) -> pathlib.Path | None:
-        """Draw the picture from the newest frame; return its path, None where there is none.
+    def draw(self, rows: list[dict], plan: BatchPlan) -> pathlib.Path | None:
+        """Draw the picture from the newest frame; return its path, None where there is none. ``rows``: the cycle table.
 
         What keeps a picture from being made is a printed note: the run itself has its results.
         """
@@ -227,24 +227,35 @@ class RunFolder:
             return None
         path = self.path / PICTURE
         try:
-            layout.attempt_on_root(lambda: self._draw(summary, plan, path), f"{path}: cannot be drawn")
+            layout.attempt_on_root(lambda: self._draw(rows, plan, path), f"{path}: cannot be drawn")
         except F2SError as error:
             _note(f"no picture; {error}")
             return None
         return path
 
-    def _draw(self, summary: dict, plan: BatchPlan, path: pathlib.Path) -> None:
+    def _draw(self, rows: list[dict], plan: BatchPlan, path: pathlib.Path) -> None:
         numbers = runs.list_frames(self.path)
         if not numbers:
             raise F2SError(f"{self.path / layout.FRAMES} holds no frame")
         # (an older run may have been resumed with other fields than its frames have)
-        fields, _ = runs.open_frame(self.path, numbers[-1], picture.NEEDED)
-        domain, flying = self.scene.domain, summary.get("particles_in_flight", 0)
-        landed = count_text(summary["particles"] - flying, "particle")
+        fields, meta = runs.open_frame(self.path, numbers[-1], picture.NEEDED)
+        domain = self.scene.domain
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
-                     f"{landed}, {1e6 * summary['time_s']:.2f} µs, dense height "
-                     f"{1e6 * summary['dense_height_m']:.1f} µm, cells of {1e6 * domain.cell_size:g} µm", path,
+                     f"{_frame_text(meta.time_s, rows)}, cells of {1e6 * domain.cell_size:g} µm", path,
                      slow_speed=LANDED * flight_speed(plan.batches, self.scene.top_speed))
+
+
+def _frame_text(time: float, rows: list[dict]) -> str:
+    """Return what a frame at ``time`` (s) shows; its numbers are known where a row of the cycle table is of that time.
+
+    It may be older than the state: a run that stops within a cycle writes no frame.
+    """
+    elapsed = f"{1e6 * time:.2f} µs"
+    row = next((row for row in rows if math.isclose(row["time_s"], time, rel_tol=1e-9)), None)
+    if row is None:
+        return f"within cycle {1 + sum(row['time_s'] < time for row in rows)}, {elapsed}"
+    landed = count_text(row["particles"] - row.get("particles_in_flight", 0), "particle")
+    return f"{landed}, {elapsed}, dense height {1e6 * row['dense_height_m']:.1f} µm"
 
 
 def _without_nan(value: object) -> object:

@@ -43,15 +43,15 @@ def tell(text: str, end: str = "\n") -> bool:
 class Progress:
     """Progress lines of rank 0; silent elsewhere.
 
-    ``total_time``, ``done_time``: simulated time of the whole run and at the start of this session (s); ``interval``:
-    wall time between lines (s); ``under_launcher``: started by mpirun. The estimated end counts only this session, from
-    its first step on (which may have compiled the kernels), and is left out until ``ETA_SHARE`` of it is done.
+    ``share``: which share of the work of the whole run is to be done at a simulated time (s); ``interval``: wall time
+    between lines (s); ``under_launcher``: started by mpirun. The estimated end counts only this session, from its first
+    step on (which may have compiled the kernels), and is left out until ``ETA_SHARE`` of its work is done.
     """
 
-    def __init__(self, speaks: bool, total_time: float, done_time: float, interval: float,
+    def __init__(self, speaks: bool, share: Callable[[float], float], interval: float,
                  under_launcher: bool = False) -> None:
         self.speaks = speaks
-        self.total_time, self.done_time = total_time, done_time
+        self.share, self.done_before = share, 0.0
         self.interval = interval
         self.last = time.monotonic()
         self.start: float | None = None  # end of the first step
@@ -77,14 +77,14 @@ class Progress:
             return
         now = time.monotonic()
         if self.start is None:
-            self.start, self.done_time = now, clock.time
+            self.start, self.done_before = now, self.share(clock.time)
         if not self._due(now):
             return
-        share = clock.time / self.total_time
+        share = self.share(clock.time)
         fastest = max(clock.limits.heavy_speed, in_flight())
         text = (f"cycle {cycle + 1}/{cycles}  {1e9 * clock.in_cycle:7.1f} of {1e9 * duration:.0f} ns"
                 f"  step {clock.steps}  dt {1e12 * clock.dt:.0f} ps ({clock.limit})"
-                f"  fastest {fastest:.0f} m/s  {100.0 * share:5.1f} %{self._eta(now, clock.time)}")
+                f"  fastest {fastest:.0f} m/s  {100.0 * share:5.1f} % of the work{self._eta(now, share)}")
         self._renew(text, share)
 
     def dwell(self, left: float, duration: float, cycle: int, cycles: int) -> None:
@@ -110,9 +110,9 @@ class Progress:
         else:
             self.say(text)
 
-    def _eta(self, now: float, simulated: float) -> str:
+    def _eta(self, now: float, share: float) -> str:
         """Return the time that is left, as the line ends with it; nothing while it cannot be told."""
-        passed, left = simulated - self.done_time, self.total_time - simulated
+        passed, left = share - self.done_before, 1.0 - share
         if passed <= 0.0 or passed < ETA_SHARE * (passed + left):
             return ""
         return f"  ETA {clock_text((now - self.start) * left / passed)}"

@@ -35,7 +35,7 @@ from f2s_hpc.phases import phase
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.solver.timestep import SAVE, STOP
 from f2s_hpc.units import count_text
-from f2s_hpc.workload.balance import balance_of_run
+from f2s_hpc.workload.balance import balance_and_course
 
 REMAPS_PER_RELEASE = 64
 """How often the memory of what particles have flown past is given back: often enough that it does not add up, so rarely
@@ -61,7 +61,7 @@ class Simulation:
         self.stages = log.stages()
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
-        self.balance = balance_of_run(scene, self.plan)
+        self.balance, self.course = balance_and_course(scene, self.plan)
         self.state = build_state(scene, self.balance.ranges)
         self.ledger = build_ledger(self.model)
         self.clock = Clock()
@@ -78,7 +78,7 @@ class Simulation:
         self.substrate_quanta = 0
         self.active_at_start_of_cycle = 0
         self.spent = Spent()
-        self.progress = Progress(False, 1.0, 0.0, 1.0)
+        self.progress = Progress(False, self.course.at, 1.0)
         self.status = RUNNING
         self.picture: pathlib.Path | None = None  # made at the end
         self.saved_at = 0.0  # wall time of this session (s) at the newest checkpoint
@@ -178,10 +178,11 @@ class Simulation:
         Whatever happens, ``summary.json`` tells; after a failure the last checkpoint stands.
         """
         scene = self.scene
-        self.progress = Progress(mpi.is_root(), scene.cycles.total_time, self.clock.time,
-                                 scene.output.progress_seconds, mpi.launched_by_mpirun())
+        self.progress = Progress(mpi.is_root(), self.course.at, scene.output.progress_seconds,
+                                 mpi.launched_by_mpirun())
         for message in self.plan.messages:
             self.progress.say(f"note: {message}")
+        self.folder.write_tables(self.rows, self.summary())  # (who looks should find a run that goes on)
         try:
             while self.cycle < scene.cycles.count:
                 if not self._run_cycle():
@@ -195,9 +196,8 @@ class Simulation:
             with contextlib.suppress(F2SError):  # (what went wrong first is to be told)
                 self._index_view()
             raise
-        summary = self.summary()
-        self.folder.write_tables(self.rows, summary)
-        self.picture = self.folder.draw(summary, self.plan)
+        self.folder.write_tables(self.rows, self.summary())
+        self.picture = self.folder.draw(self.rows, self.plan)
         return self.status
 
     def _run_cycle(self) -> bool:
@@ -318,14 +318,13 @@ class Simulation:
                 self.folder.write_tracers(self.tracers.cloud_at(self.state, clock.time), self.cycle)
         except F2SError as error:  # a picture of the state that can not be written must not cost the state
             failure = error
-        summary = self.summary()
-        self.folder.write_tables(self.rows, summary)
+        self.folder.write_tables(self.rows, self.summary())
         if output.checkpoints or clock.stop or failure:
             self._checkpoint()
         if failure:
             raise failure
         if output.picture_each_cycle and self.cycle < self.scene.cycles.count:
-            self.folder.draw(summary, self.plan)
+            self.folder.draw(self.rows, self.plan)
         trim_heap()
         unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
         # (none as long as nothing has landed)

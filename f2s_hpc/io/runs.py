@@ -10,6 +10,7 @@ import csv
 import json
 import os
 import pathlib
+import platform
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -51,10 +52,10 @@ def check_new_folder(path: str | os.PathLike) -> pathlib.Path:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; name a new folder with --out")
         if path.is_dir() and any(path.iterdir()):
-            if _held(path):
+            if at_work(path):
                 raise InputError(f"{path}: another run is at work in it; start a new one in another folder with --out")
             if (path / layout.CHECKPOINTS).is_dir() or (path / layout.SUMMARY_JSON).exists():
-                go_on = (f"; continue it with 'f2s resume {shlex.quote(str(path))}', or" if _has_checkpoint(path) else
+                go_on = (f"; continue it with 'f2s resume {shlex.quote(str(path))}', or" if has_checkpoint(path) else
                          ", without a checkpoint to continue from; remove it, or")
                 raise InputError(f"{path}: holds a run already{go_on} start a new one in another folder with --out")
             raise InputError(f"{path}: is not empty; name a new or empty folder with --out")
@@ -104,7 +105,9 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
             os.close(file)
             raise InputError(f"{path}: another run is at work in it; wait for its end, or stop it") from None
         except OSError:  # (no locks on this file system)
-            pass
+            return file
+        with contextlib.suppress(OSError):
+            _sign(file)
         return file
 
     held = layout.attempt_together(lambda: lock() if mpi.is_root() else None, f"{path}: cannot be locked", InputError)
@@ -115,18 +118,32 @@ def hold(path: str | os.PathLike) -> Iterator[None]:
             os.close(held)
 
 
-def _held(path: pathlib.Path) -> bool:
-    """Tell whether another process holds the run folder ``path`` (see :func:`hold`)."""
-    import fcntl
-    with contextlib.suppress(OSError), (path / layout.LOCK).open("rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
+def _sign(file: int) -> None:
+    """Leave the name of this machine in the lock."""
+    name = platform.node().encode()
+    if os.pread(file, len(name) + 1, 0) != name:
+        os.ftruncate(file, 0)
+        os.pwrite(file, name, 0)
 
 
-def _has_checkpoint(path: pathlib.Path) -> bool:
+def at_work(path: str | os.PathLike) -> bool | None:
+    """Tell whether a process holds the run folder ``path`` (see :func:`hold`); None where nobody can know from here.
+
+    That is so without locks, and on another machine than the last run's: some file systems keep locks to each.
+    """
+    try:
+        import fcntl  # (not on Windows)
+        with (pathlib.Path(path) / layout.LOCK).open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+            return False if file.read() == platform.node().encode() else None
+    except (ImportError, OSError):
+        return None
+
+
+def has_checkpoint(path: pathlib.Path) -> bool:
     """Tell whether the run folder ``path`` holds a finished checkpoint."""
     return any(layout.checkpoint_key(file.name) is not None and places.kind(manifest_path(file)) == places.FILE
                for file in places.entries(path / layout.CHECKPOINTS))

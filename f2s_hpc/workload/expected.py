@@ -60,6 +60,21 @@ class Moment:
     solid: np.ndarray
 
 
+@dataclass(frozen=True)
+class Course:
+    """How the work of a run grows with its time: ``share`` of all its active cell-steps that is done at ``times`` (s).
+
+    Both rise from 0, ``share`` to 1.
+    """
+
+    times: tuple[float, ...]
+    share: tuple[float, ...]
+
+    def at(self, time: float) -> float:
+        """Return the share that is done at ``time`` (s)."""
+        return float(np.interp(time, self.times, self.share))
+
+
 class Air:
     """All spheres in flight, in cells and seconds, z from the bottom of the box; lowest first."""
 
@@ -183,6 +198,22 @@ def part_cells(blocks: np.ndarray, cells: int, ranges: Ranges, widths: tuple[int
 def column_load(scene: Scene, plan: BatchPlan) -> np.ndarray:
     """Return the mean number of active cells in each column of the box over the run, float64 [j, i]."""
     return summed_load(moments(scene, plan), scene.domain.cells[0])
+
+
+def load_and_course(scene: Scene, plan: BatchPlan) -> tuple[np.ndarray, Course]:
+    """Return :func:`column_load` and how the work of the run grows, by one look at its moments."""
+    weights, work = [], []
+
+    def noted() -> Iterator[Moment]:
+        for moment in moments(scene, plan):
+            weights.append(moment.weight)
+            # (a step over nothing takes its time too)
+            work.append(moment.weight * moment.pace * (1 + int(moment.blocks.sum(dtype=np.int64))))
+            yield moment
+
+    load = summed_load(noted(), scene.domain.cells[0])
+    times, share = (sums / sums[-1] for sums in (np.cumsum([0.0, *part]) for part in (weights, work)))
+    return load, Course(tuple(scene.cycles.total_time * times), tuple(share))
 
 
 def summed_load(history: Iterable[Moment], cells: int) -> np.ndarray:
