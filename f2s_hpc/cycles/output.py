@@ -233,7 +233,7 @@ class RunFolder:
         if not numbers:
             raise F2SError(f"{self.path / layout.FRAMES} holds no frame")
         # (an older run may have been resumed with other fields than its frames have)
-        fields, _ = runs.open_frame(self.path, numbers[-1], picture.NEEDED)
+        fields, _ = runs.frame_fields(self.path, numbers[-1], picture.NEEDED)
         domain, flying = self.scene.domain, summary.get("particles_in_flight", 0)
         landed = count_text(summary["particles"] - flying, "particle")
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
