@@ -132,16 +132,14 @@ def survey(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float,
     highest (``workload.memory.GROUNDED``).
     """
     nz, ny, nx = fields["volume_fraction"].shape
-    ground = min(int(np.ceil(substrate_height / dx - 1e-6)), nz)
     slabs = [slice(first, min(first + ROWS_AT_ONCE, ny)) for first in range(0, ny, ROWS_AT_ONCE)]
     surface, amount, filled = np.empty((ny, nx)), np.empty((ny, nx)), np.zeros(nz, dtype=bool)
     solid = np.zeros((nz, ny, nx), dtype=bool)
     for rows in slabs:
         fraction = fields["volume_fraction"][:, rows]
-        amount[rows] = fraction[ground:].sum(axis=0, dtype=np.float64)
-        half_full = fraction >= HALF_FULL
-        planes = half_full.any(axis=(1, 2))
+        amount[rows], planes = material_above(fraction, dx, substrate_height)
         filled |= planes
+        half_full = fraction >= HALF_FULL
         half_full &= fields["speed"][:, rows] < slow_speed
         for k in np.flatnonzero(planes):  # (layers that stay void are no memory)
             solid[k, rows] = half_full[k]
@@ -153,6 +151,14 @@ def survey(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float,
         skin = (fields["speed"][:, rows] < slow_speed) & (fraction < HALF_FULL)
         surface[rows] = landed_surface(fraction, firm[:, rows] | skin, dx)
     return surface, amount, filled
+
+
+def material_above(fraction: np.ndarray, dx: float, substrate_height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much material (in full cells) lies in each column above the substrate's top, (ny, nx) float64, and
+    which layers have cells half full, bool (nz). ``fraction``: volume fraction (nz, ny, nx).
+    """
+    ground = min(int(np.ceil(substrate_height / dx - 1e-6)), fraction.shape[0])
+    return fraction[ground:].sum(axis=0, dtype=np.float64), (fraction >= HALF_FULL).any(axis=(1, 2))
 
 
 def choose_section(amount: np.ndarray, filled: np.ndarray, surface: np.ndarray, dx: float,
