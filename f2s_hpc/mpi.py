@@ -108,6 +108,16 @@ def total(value):
     return _reduced(value, MPI.SUM)
 
 
+def gather(value: Value) -> list[Value] | None:
+    """Return the list of every rank's ``value`` on rank 0, in rank order; None on the others."""
+    return MPI.COMM_WORLD.gather(value, root=ROOT)
+
+
+def scatter(values: list[Value] | None) -> Value:
+    """Return to each rank its own of rank 0's ``values``, in rank order; the others' are not looked at."""
+    return MPI.COMM_WORLD.scatter(values, root=ROOT)
+
+
 def exchange_rows(rows: list[np.ndarray]) -> np.ndarray:
     """Send ``rows[r]``, float64 (n, columns), to each rank r; return what came from all ranks, in rank order.
 

@@ -54,6 +54,14 @@ class OneRank:
         """Return the list of this rank's ``value``."""
         return [value]
 
+    def gather(self, value: Value, root: int = 0) -> list[Value]:
+        """Return the list of this rank's ``value``."""
+        return [value]
+
+    def scatter(self, values: list[Value], root: int = 0) -> Value:
+        """Return the only one of ``values``."""
+        return values[0]
+
 
 MPI = SimpleNamespace(COMM_WORLD=OneRank(), MIN=None, MAX=None, SUM=None, DOUBLE=None, REPLACE=None)
 """In the place of ``mpi4py.MPI``. On one rank no operation and no data type is looked at."""

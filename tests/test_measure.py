@@ -190,6 +190,7 @@ def test_landed_is_what_is_attached_also_where_it_rings(state, rng):
     or ``LANDED`` is 0.1.
     """
     model = build_model(parse_scene(SCENE, "test"))
+    assert not measure.landed_cells(state, model, 600.0).any()  # (an empty box)
     fraction = np.zeros(CELLS[::-1])
     fraction[:8], fraction[8] = 1.0, 0.3
     fraction[8:14, 3:5, 3:5], fraction[12:14, 3:11, 3:10] = 1.0, 1.0  # a mushroom over many ranks

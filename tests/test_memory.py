@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 import re
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
 from conftest import launch
 
 from f2s_hpc import fields, mpi
+from f2s_hpc.analysis import picture, surface
 from f2s_hpc.bench.hook import Stopwatches, hooked
 from f2s_hpc.build import build_state
 from f2s_hpc.config import load_scene, scene_names
 from f2s_hpc.grid.box import GHOST, Box
 from f2s_hpc.grid.decomposition import ownership_ranges, process_grid
-from f2s_hpc.io import runs
+from f2s_hpc.io import runs, vtkhdf
+from f2s_hpc.io.layout import Block
 from f2s_hpc.particles.batch import Batch
 from f2s_hpc.particles.plan import BatchPlan, make_batches
 from f2s_hpc.verify.scenes import prepare
@@ -88,11 +91,42 @@ def test_planes_are_touched_by_what_lands_before_the_end():
 
 
 def test_the_picture_takes_the_place_of_fields_that_were_given_back():
+    """Fails when the picture is forgotten, or counted in a scene that draws none."""
     small, large = (memory.RankMemory(memory.BASELINE, arrays, 0, 1000) for arrays in (28 * 2**20, 280 * 2**20))
-    scene = load_scene("section4")
-    work = 14 / 28 * 28 * 2**20
-    assert memory.of_picture(scene, small) == pytest.approx(memory.PICTURE - work, abs=1)
-    assert memory.of_picture(scene, large) == 0
+    scene, silent = load_scene("section4"), load_scene("section4", ["output.picture=false"])
+    plan = BatchPlan([], [])
+    work, rows = 14 / 28 * 28 * 2**20, memory.DRAWN * 117 * 64 * 200
+    drawn = memory.on_root(scene, small, plan)
+    assert drawn + work > memory.PICTURE + rows
+    assert drawn + work - memory.PICTURE - rows == pytest.approx(memory.on_root(
+        silent, memory.RankMemory(memory.BASELINE, 0, 0, 1000), plan), abs=1)
+    assert memory.on_root(scene, large, plan) == 0
+
+
+def test_what_is_drawn_is_not_held_whole(tmp_path, monkeypatch):
+    """A full box from a frame: what is allocated is what the forecast has, matplotlib aside.
+
+    Fails when a field is read whole (``[:, :]`` for ``[:, rows]`` in ``survey``), or the labels are.
+    """
+    monkeypatch.setattr(surface, "LABELLED_AT_ONCE", 2**16)
+    scene = load_scene("section4", ['domain.size=["0.2 mm", "5 mm", "0.6 mm"]', "domain.cell_size=10 um"])
+    shape = scene.domain.cells[::-1]
+    full = [Block(name, np.full(shape, value), (0, 0, 0), shape) for name, value in
+            zip(picture.NEEDED, (1.0, 0.5, 300.0, 0.0))]
+    vtkhdf.write_frame(tmp_path / "frames", 0, 0.0, full, (0.0,) * 3, (1e-5,) * 3, {})
+    monkeypatch.setattr(memory, "touched_planes", lambda scene, plan: shape[0])
+    expected = memory.on_root(scene, memory.RankMemory(0, 0, 0, 1000), BatchPlan([], [])) - memory.PICTURE
+    fields, _ = runs.frame_fields(tmp_path, 0, picture.NEEDED)
+    surface.grounded_cells(np.ones((1, 1, 1), dtype=bool))  # (loads scipy)
+    tracemalloc.start()
+    try:
+        seen = picture.survey(fields, 1e-5, scene.domain.substrate_height, 200.0)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert seen[0] == pytest.approx(shape[0] * 1e-5)
+    assert 0.5 * expected < peak < 1.05 * expected
+    assert expected < 4.0 * np.prod(shape)
 
 
 def test_check_prints_bytes_per_cell(run_f2s):

@@ -8,6 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from f2s_hpc.analysis import picture
+from f2s_hpc.analysis.surface import attached_material, landed_surface
 from f2s_hpc.analysis.table import COLUMNS, format_table
 from f2s_hpc.errors import F2SError, InputError
 
@@ -165,6 +166,22 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     for name in ("a.png", "b.png"):
         picture.draw(deposit(cells, dx, substrate, height), dx, substrate, "Title", "subtitle", tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_what_is_seen_does_not_depend_on_the_slabs(monkeypatch, rng):
+    """Rubble in a tall box and fast cells: as for the whole box at once.
+
+    Fails when ``survey`` leaves out the skin, or takes all that is slow for skin.
+    """
+    shape = (40, 23, 9)
+    fraction = (rng.random(shape) * np.linspace(1.7, 0.3, 40)[:, None, None]).clip(0.0, 1.0).astype(np.float32)
+    speed = (rng.random(shape) * 60.0).astype(np.float32)
+    monkeypatch.setattr(picture, "ROWS_AT_ONCE", 4)
+    found, amount, filled = picture.survey({"volume_fraction": fraction, "speed": speed}, UM, 3 * UM, 50.0)
+    assert np.array_equal(found, landed_surface(fraction, attached_material(fraction, speed < 50.0), UM))
+    assert np.unique(found).size > 100
+    assert np.array_equal(amount, fraction[3:].sum(axis=0, dtype=np.float64))
+    assert np.array_equal(filled, (fraction >= 0.5).any(axis=(1, 2)))
 
 
 def test_bad_input_is_one_line(tmp_path):

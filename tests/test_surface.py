@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from f2s_hpc.analysis.surface import attached_material, dense_height, landed_surface
+from f2s_hpc.analysis import surface
+from f2s_hpc.analysis.surface import attached_material, dense_height, grounded_cells, landed_surface
 
 DX = 2e-6
 
@@ -84,3 +86,23 @@ def test_a_fragment_in_the_air_is_not_attached():
     assert height[1, 3] == pytest.approx(3 * DX)
     assert height[1, 1] == pytest.approx(3.3 * DX)
     assert not attached_material(np.zeros((2, 2, 2)), np.ones((2, 2, 2), dtype=bool)).any()
+
+
+@pytest.mark.parametrize("at_once", [1, 40, 100, 2**22])
+def test_what_is_grounded_does_not_depend_on_the_slabs(at_once, rng, monkeypatch):
+    """A pipe that winds up and down through all slabs, and rubble: as labels of the whole box have it.
+
+    Fails when slabs are not looked at again from above (leave ``first - 1`` out of the places that wait).
+    """
+    monkeypatch.setattr(surface, "LABELLED_AT_ONCE", at_once)
+    pipe = np.zeros((12, 1, 15), dtype=bool)
+    pipe[:, 0, ::2] = True
+    pipe[0, 0, 1:] = False
+    pipe[11, 0, 1::4] = pipe[1, 0, 3::4] = True
+    assert (grounded_cells(pipe) == pipe).all()
+    pipe[11, 0, 1] = False
+    assert grounded_cells(pipe).sum() == 12
+    for _ in range(20):
+        solid = rng.random((9, 6, 7)) < 0.4
+        labels, _ = ndimage.label(solid)
+        assert np.array_equal(grounded_cells(solid), solid & np.isin(labels, labels[0]))

@@ -78,6 +78,9 @@ def test_frame_holds_the_whole_field_in_float32(frames, split):
     assert meta.provenance == {"cycle": 3, "scene": 'size = "3 µm"\n' * 6000}
     assert path.name == "frame_000003.vtkhdf"
     assert list(runs.open_frame(frames.parent, 3, ["peeq"])[0]) == ["peeq"]
+    part = runs.frame_fields(frames.parent, 3, ["peeq"])[0]["peeq"]
+    assert part.shape == arrays["peeq"].shape
+    assert np.array_equal(part[2:4, :, 1], arrays["peeq"][2:4, :, 1])
 
 
 @pytest.mark.mpi

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from f2s_hpc.analysis.canvas import INK, MICRO, draw_interface, nearest_material, save
-from f2s_hpc.analysis.surface import HALF_FULL, attached_material, landed_surface
+from f2s_hpc.analysis.surface import HALF_FULL, grounded_cells, landed_surface
 from f2s_hpc.errors import InputError
 from f2s_hpc.units import ZERO_CELSIUS
 
 NEEDED = ("volume_fraction", "peeq", "temperature", "speed")
 SLOW_SPEED = 50.0
 """m/s; what is faster than this is taken to be in flight, unless the caller knows better."""
+ROWS_AT_ONCE = 64
+"""Rows of the fields that are read at once: chunks of a frame have as many at most, and each is read whole."""
 
 _DPI = 160
 _WIDTH, _NARROWEST = 10.0, 8.0
@@ -49,8 +51,7 @@ class Section:
 
     def cut(self, field: np.ndarray) -> np.ndarray:
         """Return the shown part of ``field`` (nz, ny, nx) as (up, along)."""
-        plane = field[:, self.index, :] if self.axis == "x" else field[:, :, self.index]
-        return plane[self.up, self.along]
+        return field[self.up, self.index, self.along] if self.axis == "x" else field[self.up, self.along, self.index]
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,14 @@ def draw(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float, t
     less than half the deposit of the fullest plane (a particle on a symmetry side), through the fullest plane.
     Colours span the 1st to 99th percentile of the material shown.
 
-    ``fields``: ``volume_fraction``, ``peeq``, ``temperature`` (K), ``speed`` (m/s), each (nz, ny, nx); ``dx``,
-    ``substrate_height`` in m; ``slow_speed`` (m/s): what is faster, or not attached, is no part of the surface.
+    ``fields``: ``volume_fraction``, ``peeq``, ``temperature`` (K), ``speed`` (m/s), each (nz, ny, nx), an array or what
+    is cut like one (``io.runs.FrameField``) and is then never held whole; ``dx``, ``substrate_height`` in m;
+    ``slow_speed`` (m/s): what is faster, or not attached, is no part of the surface.
     Raises ``InputError`` when a field is missing or of another shape, ``F2SError`` when the file cannot be written.
     """
     shape = _checked_shape(fields)
-    landed = attached_material(fields["volume_fraction"], fields["speed"] < slow_speed)
-    surface = landed_surface(fields["volume_fraction"], landed, dx)
-    section = choose_section(fields["volume_fraction"], surface, dx, substrate_height)
+    surface, amount, filled = survey(fields, dx, substrate_height, slow_speed)
+    section = choose_section(amount, filled, surface, dx, substrate_height)
     across = shape[1] if section.axis == "x" else shape[2]
     length, height = section.along.stop - section.along.start, section.up.stop - section.up.start
     full = shape[2] if section.axis == "x" else shape[1]
@@ -121,26 +122,63 @@ def _checked_shape(fields: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
     return shape
 
 
-def choose_section(fraction: np.ndarray, surface: np.ndarray, dx: float, substrate_height: float) -> Section:
-    """Return the plane and the part of it to show.
+def survey(fields: Mapping[str, np.ndarray], dx: float, substrate_height: float,
+           slow_speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what is seen from above, and how high the box is filled; arguments as of :func:`draw`.
 
-    ``fraction``: volume fraction (nz, ny, nx); ``surface``: height of the landed material (m), (ny, nx). Upwards
-    the view ends a little above the highest surface; downwards it shows the whole substrate unless that is much
+    The height of the landed material (m, (ny, nx)), how much material (in full cells) lies in each column above the
+    substrate's top, (ny, nx), and which layers have cells half full, bool (nz). The fields are read in slabs of rows;
+    of the whole box only what is slow and solid, and of that what is grounded, is held: 2 bytes per cell below the
+    highest (``workload.memory.GROUNDED``).
+    """
+    nz, ny, nx = fields["volume_fraction"].shape
+    slabs = [slice(first, min(first + ROWS_AT_ONCE, ny)) for first in range(0, ny, ROWS_AT_ONCE)]
+    surface, amount, filled = np.empty((ny, nx)), np.empty((ny, nx)), np.zeros(nz, dtype=bool)
+    solid = np.zeros((nz, ny, nx), dtype=bool)
+    for rows in slabs:
+        fraction = fields["volume_fraction"][:, rows]
+        amount[rows], planes = material_above(fraction, dx, substrate_height)
+        filled |= planes
+        half_full = fraction >= HALF_FULL
+        half_full &= fields["speed"][:, rows] < slow_speed
+        for k in np.flatnonzero(planes):  # (layers that stay void are no memory)
+            solid[k, rows] = half_full[k]
+    firm = grounded_cells(solid)
+    del solid
+    for rows in slabs:
+        fraction = fields["volume_fraction"][:, rows]
+        # of the skin (``surface.with_skin``) only what lies on the highest firm cell counts
+        skin = (fields["speed"][:, rows] < slow_speed) & (fraction < HALF_FULL)
+        surface[rows] = landed_surface(fraction, firm[:, rows] | skin, dx)
+    return surface, amount, filled
+
+
+def material_above(fraction: np.ndarray, dx: float, substrate_height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much material (in full cells) lies in each column above the substrate's top, (ny, nx) float64, and
+    which layers have cells half full, bool (nz). ``fraction``: volume fraction (nz, ny, nx).
+    """
+    ground = min(int(np.ceil(substrate_height / dx - 1e-6)), fraction.shape[0])
+    return fraction[ground:].sum(axis=0, dtype=np.float64), (fraction >= HALF_FULL).any(axis=(1, 2))
+
+
+def choose_section(amount: np.ndarray, filled: np.ndarray, surface: np.ndarray, dx: float,
+                   substrate_height: float) -> Section:
+    """Return the plane and the part of it to show; ``amount``, ``filled`` and ``surface`` as :func:`survey` returns.
+
+    Upwards the view ends a little above the highest surface; downwards it shows the whole substrate unless that is much
     thicker than the deposit; a strip that is too long to read is cut to a window around its deposit.
     """
-    nz, ny, nx = fraction.shape
+    nz, (ny, nx) = filled.size, amount.shape
     axis = "x" if ny <= 1.5 * nx else "y"
     ground = substrate_height / dx
-    deposit = fraction[min(int(np.ceil(ground - 1e-6)), nz):].sum(axis=0, dtype=np.float64)
-    if axis == "y":
-        deposit = deposit.T
+    deposit = amount if axis == "x" else amount.T
     planes = deposit.sum(axis=1)
     middle = planes.size // 2
     index = middle if planes[middle] >= 0.5 * planes.max() else int(np.argmax(planes))
 
     top = float(surface.max()) / dx
     if top - ground < 2.0:  # nothing has landed yet: show what is in flight
-        layers = np.nonzero((fraction >= HALF_FULL).any(axis=(1, 2)))[0]
+        layers = np.flatnonzero(filled)
         top = max(top, float(layers[-1] + 1)) if layers.size else float(nz)
     low = max(0.0, ground - max(0.4 * min(nx, ny), top - ground))
     high = min(float(nz), top + max(2.0, 0.08 * (top - low)))

@@ -14,6 +14,9 @@ Above what light cells of a resting surface ring with (up to 0.2 with 4 cells pe
 below what cells cut by the surface of a sphere in flight have (0.5: half of their nodes are at rest).
 """
 
+LABELLED_AT_ONCE = 2**22
+"""Cells of a slab in which what hangs together is looked for, whose labels take 4 bytes each."""
+
 
 def landed_surface(volume_fraction: np.ndarray, landed: np.ndarray, dx: float) -> np.ndarray:
     """Return the height (m, above the bottom of the box) of the landed material in each column, (ny, nx).
@@ -25,23 +28,42 @@ def landed_surface(volume_fraction: np.ndarray, landed: np.ndarray, dx: float) -
     solid = landed & (volume_fraction >= HALF_FULL)
     nz = solid.shape[0]
     top = nz - 1 - np.argmax(solid[::-1], axis=0)
-    fill = np.clip(np.asarray(volume_fraction, dtype=np.float64), 0.0, 1.0)
-    resting = np.where(landed & (fill < HALF_FULL), fill, 0.0)
-    above = np.concatenate([resting[1:], np.zeros((1, *fill.shape[1:]))])
+    over = np.minimum(top + 1, nz - 1)
     row, column = np.indices(top.shape)
-    height = (top + fill[top, row, column] + above[top, row, column]) * dx
+    fill, above = (np.clip(volume_fraction[k, row, column].astype(np.float64), 0.0, 1.0) for k in (top, over))
+    resting = (over > top) & landed[over, row, column] & (above < HALF_FULL)
+    height = (top + fill + np.where(resting, above, 0.0)) * dx
     return np.where(solid.any(axis=0), height, 0.0)
 
 
 def grounded_cells(solid: np.ndarray) -> np.ndarray:
-    """Return which of the ``solid`` cells (bool, (nz, ny, nx)) are connected through faces to the lowest layer."""
+    """Return which of the ``solid`` cells (bool, (nz, ny, nx)) are connected through faces to the lowest layer.
+
+    Labelled slab by slab, each as often as the ones next to it reach into what is not found yet: labels of a whole box
+    take four times the memory of all else here.
+    """
     from scipy import ndimage  # (20 MB, on rank 0 of a run only)
 
-    labels, count = ndimage.label(solid)
-    grounded = np.zeros(count + 1, dtype=bool)
-    grounded[np.unique(labels[0])] = True
-    grounded[0] = False
-    return grounded[labels]
+    nz = solid.shape[0]
+    thick = max(1, LABELLED_AT_ONCE // max(1, solid[0].size))
+    found = np.zeros(solid.shape, dtype=bool)  # (what stays void is never written, and no memory)
+    found[0] = solid[0]
+    waiting = {0}
+    while waiting:
+        first = min(waiting)
+        waiting.remove(first)
+        last = min(first + thick, nz)
+        labels, count = ndimage.label(solid[first:last])
+        grounded = np.zeros(count + 1, dtype=bool)
+        for inside, outside in ((0, max(first - 1, 0)), (-1, min(last, nz - 1))):
+            grounded[labels[inside][found[outside]]] = True
+        grounded[0] = False
+        for k in range(first, last):  # (an index is made 8 bytes wide)
+            found[k] = grounded[labels[k - first]]
+        for inside, outside in ((first, first - 1), (last - 1, last)):
+            if 0 <= outside < nz and (found[inside] & solid[outside] & ~found[outside]).any():
+                waiting.add(outside // thick * thick)
+    return found
 
 
 def with_skin(firm: np.ndarray, volume_fraction: np.ndarray, slow: np.ndarray) -> np.ndarray:

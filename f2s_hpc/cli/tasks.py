@@ -73,10 +73,10 @@ def _resolution_line(scene: Scene, plan: BatchPlan) -> str:
 def _memory_line(scene: Scene, balance: Balance, plan: BatchPlan) -> str:
     """Return what the rank that needs most memory will need of it."""
     need = memory.of_fullest(scene, balance.ranges, plan)
-    more = memory.of_picture(scene, need) if scene.output.picture else 0
-    picture = f"; {pretty_bytes(more)} more on rank 0 for the picture" if more else ""
+    more = memory.on_root(scene, need, plan)
+    root = f"; {pretty_bytes(more)} more on rank 0 to measure and draw the deposit" if more else ""
     return (f"{pretty_bytes(need.total)} on the largest rank: {pretty_bytes(need.baseline)} for the process and its "
-            f"libraries, and {need.per_cell:.0f} bytes per cell{picture}")
+            f"libraries, and {need.per_cell:.0f} bytes per cell{root}")
 
 
 def _tracer_line(scene: Scene, particles: int) -> list[tuple[str, str]]:

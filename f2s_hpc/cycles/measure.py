@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from f2s_hpc import mpi
@@ -80,28 +82,34 @@ def landed_cells(state: State, model: Model, particle_speed: float) -> np.ndarra
     part = state.part
     slow = _derived_with_ghosts(state, model, "speed") < LANDED * particle_speed
     solid = slow & (state.views["volume_fraction"] >= HALF_FULL)
-    pieces = mpi.all_gather((part.start, part.count, np.packbits(solid[part.owned_cells])))
-    rings = mpi.broadcast(_grounded_rings(part.box.shape, pieces) if mpi.is_root() else None)
-    count = [n + 2 for n in part.count[::-1]]
+    own, (nx, ny, nz) = solid[part.owned_cells], part.count
+    # (planes above the highest that any rank has are neither sent nor held)
+    filled = np.flatnonzero(own.any(axis=(1, 2)))
+    top = mpi.maximum(np.int64(part.start[2] + filled[-1] + 1 if filled.size else 1))
+    nz = int(np.clip(top - part.start[2], 0, nz))
+    pieces = mpi.gather((part.start, (nx, ny, nz), np.packbits(own[:nz])))
+    ring = mpi.scatter(_grounded_rings(part.box.shape, pieces) if mpi.is_root() else None)
     firm = np.zeros(part.cell_shape, dtype=bool)
-    inner = tuple(slice(GHOST - 1, GHOST - 1 + n) for n in count)
-    firm[inner] = np.unpackbits(rings[mpi.rank()], count=int(np.prod(count))).reshape(count)
+    shape = (nz + 2, ny + 2, nx + 2)
+    inner = tuple(slice(GHOST - 1, GHOST - 1 + n) for n in shape)
+    firm[inner] = np.unpackbits(ring, count=math.prod(shape)).reshape(shape)
     return with_skin(firm, state.views["volume_fraction"], slow)
 
 
 def _grounded_rings(shape: tuple[int, int, int], pieces: list[tuple]) -> list[np.ndarray]:
     """Return, per rank, which of its cells and of one layer around them are grounded, packed into bits.
 
-    ``pieces``: start, count (x, y, z) and packed solid cells of each rank.
+    ``pieces``: start, count (x, y, z; up to the highest solid cell) and packed solid cells of each rank. Takes 2 bytes
+    per cell below that (``workload.memory.GROUNDED``).
     """
-    whole = np.zeros(shape, dtype=bool)
+    around = np.zeros([n + 2 for n in shape], dtype=bool)
+    whole = around[1:-1, 1:-1, 1:-1]
     for start, count, bits in pieces:
         nx, ny, nz = count
         own = np.unpackbits(bits, count=nx * ny * nz).reshape(nz, ny, nx)
         whole[tuple(slice(s, s + n) for s, n in zip(start[::-1], count[::-1]))] = own
-    top = int(np.flatnonzero(whole.any(axis=(1, 2))).max(initial=0)) + 1
+    top = max(start[2] + count[2] for start, count, _ in pieces if count[2])
     whole[:top] = grounded_cells(whole[:top])
-    around = np.pad(whole, 1)
     return [np.packbits(around[tuple(slice(s, s + n + 2) for s, n in zip(start[::-1], count[::-1]))])
             for start, count, _ in pieces]
 

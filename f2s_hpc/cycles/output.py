@@ -238,7 +238,7 @@ class RunFolder:
         if not numbers:
             raise F2SError(f"{self.path / layout.FRAMES} holds no frame")
         # (an older run may have been resumed with other fields than its frames have)
-        fields, meta = runs.open_frame(self.path, numbers[-1], picture.NEEDED)
+        fields, meta = runs.frame_fields(self.path, numbers[-1], picture.NEEDED)
         domain = self.scene.domain
         picture.draw(fields, domain.cell_size, domain.substrate_height, self.scene.title,
                      f"{_frame_text(meta.time_s, rows)}, cells of {1e6 * domain.cell_size:g} µm", path,

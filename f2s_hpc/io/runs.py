@@ -214,7 +214,39 @@ def read_frame_meta(path: str | os.PathLike) -> FrameMeta:
 
 def open_frame(folder: str | os.PathLike, number: int, names: Sequence[str] | None = None,
                frames: str = layout.FRAMES) -> tuple[dict[str, np.ndarray], FrameMeta]:
-    """Return the fields of a frame, float32 [k, j, i], and what the frame is.
+    """Return the fields of a frame, float32 [k, j, i], whole, and what the frame is; arguments and errors as below."""
+    fields, meta = frame_fields(folder, number, names, frames)
+    return {name: field[...] for name, field in fields.items()}, meta
+
+
+@dataclass(frozen=True)
+class FrameField:
+    """A field of the frame ``path``, float32 [k, j, i], cut as an array is: only what is cut out is read.
+
+    Raises ``F2SError`` when the file is damaged.
+    """
+
+    path: pathlib.Path
+    dataset: str
+    shape: tuple[int, ...]
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
+
+    def __getitem__(self, part: object) -> np.ndarray:
+        """Read ``part``: slices and numbers, as h5py takes them."""
+        try:
+            with h5py.File(self.path, "r") as file:
+                return file[self.dataset][part]
+        except (OSError, KeyError) as error:
+            raise F2SError(f"{self.path}: damaged frame ({' '.join(str(error).split())})") from None
+
+
+def frame_fields(folder: str | os.PathLike, number: int, names: Sequence[str] | None = None,
+                 frames: str = layout.FRAMES) -> tuple[dict[str, FrameField], FrameMeta]:
+    """Return the fields of a frame to be read part by part, for boxes too large to hold, and what the frame is.
 
     ``folder`` is the run folder, ``frames`` the series; ``names`` picks fields (default: all). Raises ``InputError``
     when the frame or a field is missing, ``F2SError`` when the file is damaged.
@@ -229,8 +261,9 @@ def open_frame(folder: str | os.PathLike, number: int, names: Sequence[str] | No
             raise InputError(f"{path}: no field {name!r}; it holds {', '.join(meta.locations)}")
     try:
         with h5py.File(path, "r") as file:
-            wanted = meta.locations if names is None else names
-            return {name: file[f"{layout.VTK_ROOT}/{meta.locations[name]}/{name}"][...] for name in wanted}, meta
+            places_of = {name: f"{layout.VTK_ROOT}/{meta.locations[name]}/{name}"
+                         for name in (meta.locations if names is None else names)}
+            return {name: FrameField(path, place, file[place].shape) for name, place in places_of.items()}, meta
     except (OSError, KeyError) as error:
         raise F2SError(f"{path}: damaged frame ({' '.join(str(error).split())})") from None
 

@@ -22,7 +22,6 @@ from f2s_hpc.kernels import derived
 from f2s_hpc.particles.batch import Batch, flight_speed
 
 _LAYERS_AT_ONCE = 16
-_ROWS_AT_ONCE = 32
 Skipped = tuple[int, str]
 """Cycle of a file that cannot be measured (as its number lets expect, for a frame that tells none), and why."""
 
@@ -188,10 +187,7 @@ def _deposit(folder: pathlib.Path, scene: Scene, cycle: int, time: float, path: 
     slow = arrays.pop("speed") < LANDED * flight_speed(batches, scene.top_speed)
     landed = attached_material(fraction, slow)
     detached = float(fraction[slow & ~landed].sum(dtype=np.float64)) * dx**3
-    surface = np.empty(fraction.shape[1:])
-    for first in range(0, fraction.shape[1], _ROWS_AT_ONCE):
-        rows = slice(first, first + _ROWS_AT_ONCE)
-        surface[rows] = landed_surface(fraction[:, rows], landed[:, rows], dx)
+    surface = landed_surface(fraction, landed, dx)
     return Deposit(folder, scene, cycle, time, path, fraction, arrays["peeq"], arrays["temperature"],
                    arrays["von_mises"], landed, detached, surface, batches,
                    read_tracers(folder, cycle) if scene.output.tracers else None)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from f2s_hpc.analysis import boundaries, depth, flattening, porosity, profile, roughness
-from f2s_hpc.analysis.picture import Section, choose_section
+from f2s_hpc.analysis.picture import Section, choose_section, material_above
 from f2s_hpc.analysis.surface import dense_height
 from f2s_hpc.config import Scene
 from f2s_hpc.errors import InputError
@@ -193,7 +193,8 @@ def measure(deposit: Deposit, settings: Settings = Settings(),
     whole = profile.mean_profile(deposit.surface, deposit.dx, deposit.ground, settings.along)
     if settings.symmetric:
         whole = profile.mirrored(whole)
-    section = choose_section(deposit.fraction, deposit.surface, deposit.dx, deposit.ground)
+    section = choose_section(*material_above(deposit.fraction, deposit.dx, deposit.ground), deposit.surface, deposit.dx,
+                             deposit.ground)
     notes = _mirror_notes(scene, settings, asked)
     if deposit.skipped:
         notes.append(f"skipped: {deposit.skipped}")

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f2s_hpc import fields
+from f2s_hpc.analysis import picture, surface
 from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import GHOST, Box, Part
 from f2s_hpc.grid.decomposition import Ranges
@@ -40,8 +41,13 @@ TRACER, SENT = 205, 145
 """Per tracer point of this rank: its number and place, and what is made while it is sorted or written (bytes); more
 where there are other ranks, which it is handed over to."""
 
-PICTURE = 50 * 2**20
-"""What matplotlib takes on rank 0 at the very end, while it draws the picture (bytes)."""
+GROUNDED, LABEL = 2, 4
+"""On rank 0, while a cycle is measured or drawn: what is solid and what of it is grounded, per cell of the whole box in
+the planes that are touched, and the labels of ``surface.LABELLED_AT_ONCE`` cells (bytes)."""
+
+PICTURE, DRAWN = 50 * 2**20, 10
+"""What matplotlib takes on rank 0 while it draws the picture, and each cell of the rows that are read for it at once
+(bytes)."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +106,16 @@ def _mapped(scene: Scene, neighbours: tuple[int, int, int], count: tuple[int, in
     return ghosts * (2 * (len(fields.VELOCITY) + moving) + sum(f.ghosted for f in needed))
 
 
-def of_picture(scene: Scene, rank: RankMemory) -> int:
-    """Return what the picture takes beyond the memory of the step (bytes): the fields of the step are given back first.
+def on_root(scene: Scene, rank: RankMemory, plan: BatchPlan) -> int:
+    """Return what measuring and drawing take on rank 0 beyond the memory of the step (bytes): they grow with the whole
+    box, and the fields of the step are given back first. ``rank``: what rank 0 has.
     """
-    needed = scene.needed_fields
-    return max(PICTURE - rank.arrays * sum(not f.saved for f in needed) // len(needed), 0)
+    needed, (nx, ny, nz) = scene.needed_fields, scene.domain.cells
+    cells = nx * ny * touched_planes(scene, plan)
+    more = GROUNDED * cells + LABEL * min(cells, surface.LABELLED_AT_ONCE)
+    if scene.output.picture or scene.output.picture_each_cycle:
+        more += PICTURE + DRAWN * nx * min(ny, picture.ROWS_AT_ONCE) * nz
+    return max(more - rank.arrays * sum(not f.saved for f in needed) // len(needed), 0)
 
 
 def of_ranks(scene: Scene, ranges: Ranges, planes: int) -> list[RankMemory]:

@@ -158,11 +158,12 @@ def predict(scene: Scene, plan: BatchPlan, ranks: Sequence[int], rates: Rates, n
         step = float(sum(w * (b + seconds).max() for w, b in zip(weights, busy)))
         mean = sum(w * b for w, b in zip(weights, busy))
         largest = tuple(max(r) for r in balance.ranges)
+        fullest = memory.of_fullest(scene, balance.ranges, plan)
         alone = found[1].total_s if found else step * steps
         found[count] = Prediction(
             count, tuple(map(len, balance.ranges)), math.prod(largest), active, steps, step, step * steps,
             float(seconds.max()) if count > 1 else 0.0,
-            memory.of_fullest(scene, balance.ranges, plan).total,
+            fullest.total + memory.on_root(scene, fullest, plan),
             int(sent.max()), float(mean.max() / mean.mean()), alone / (count * step * steps))
     return [found[count] for count in ranks]
 
