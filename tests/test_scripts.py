@@ -50,6 +50,14 @@ def test_setup_without_apt_or_rights_names_the_packages(project, there, said):
     assert not (project / ".venv" / "bin").exists()
 
 
+def test_the_reader_wants_the_environment(project):
+    """Fails when ``install_reader`` does not look for .venv: Python is not found in the words of the shell then."""
+    (project / ".venv" / "bin").rmdir()
+    done = bash(["scripts/setup", "--reader"], project)
+    assert done.returncode == 1
+    assert done.stderr == "setup: there is no .venv to add VTK to yet: run scripts/setup first\n"
+
+
 def environment_made_by_setup() -> None:
     if bash(["scripts/setup", "--check"], ROOT).returncode:
         pytest.skip("this environment was not made by scripts/setup")
