@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 import stat
 
 from f2s_hpc.errors import InputError
@@ -62,6 +63,12 @@ def entries(folder: str | os.PathLike) -> list[pathlib.Path]:
         return sorted(pathlib.Path(folder).iterdir())
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({error.strerror})") from None
+
+
+def numbers(folder: str | os.PathLike, name: re.Pattern) -> list[int]:
+    """Return the numbers (first group of ``name``) of what is so called in ``folder``, ascending; as ``entries``."""
+    matches = (name.fullmatch(path.name) for path in entries(folder))
+    return sorted(int(match[1]) for match in matches if match is not None)
 
 
 def run_folder(path: str | os.PathLike) -> pathlib.Path:

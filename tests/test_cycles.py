@@ -262,7 +262,7 @@ def test_the_estimated_end_counts_this_session_only(monkeypatch, capsys):
 def test_the_share_that_is_done_is_one_of_the_work(run, capsys):
     """Of the cell-steps that there will be, within a few per cent, not of the time, of which each cycle is a third.
 
-    Fails when ``load_and_course`` leaves out the cells of a moment, or ``step`` tells of the time. After a resume too.
+    Fails when ``load_and_growth`` leaves out the cells of a moment, or ``step`` tells of the time. After a resume too.
     """
     folder = run(0, "output.progress_seconds=1 ns", "cycles.duration=100 ns", "particles.flight=ballistic",
                  "domain.substrate_height=4 um")

@@ -35,7 +35,7 @@ from f2s_hpc.phases import phase
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.solver.timestep import SAVE, STOP
 from f2s_hpc.units import count_text
-from f2s_hpc.workload.balance import balance_and_course
+from f2s_hpc.workload.balance import balance_and_growth
 
 REMAPS_PER_RELEASE = 64
 """How often the memory of what particles have flown past is given back: often enough that it does not add up, so rarely
@@ -61,7 +61,7 @@ class Simulation:
         self.stages = log.stages()
         self.plan = plan or self.folder.read_plan()
         self.model = build_model(scene)
-        self.balance, self.course = balance_and_course(scene, self.plan)
+        self.balance, self.growth = balance_and_growth(scene, self.plan)
         self.state = build_state(scene, self.balance.ranges)
         self.ledger = build_ledger(self.model)
         self.clock = Clock()
@@ -78,7 +78,7 @@ class Simulation:
         self.substrate_quanta = 0
         self.active_at_start_of_cycle = 0
         self.spent = Spent()
-        self.progress = Progress(False, self.course.at, 1.0)
+        self.progress = Progress(False, self.growth.at, 1.0)
         self.status = RUNNING
         self.picture: pathlib.Path | None = None  # made at the end
         self.saved_at = 0.0  # wall time of this session (s) at the newest checkpoint
@@ -178,7 +178,7 @@ class Simulation:
         Whatever happens, ``summary.json`` tells; after a failure the last checkpoint stands.
         """
         scene = self.scene
-        self.progress = Progress(mpi.is_root(), self.course.at, scene.output.progress_seconds,
+        self.progress = Progress(mpi.is_root(), self.growth.at, scene.output.progress_seconds,
                                  mpi.launched_by_mpirun())
         for message in self.plan.messages:
             self.progress.say(f"note: {message}")

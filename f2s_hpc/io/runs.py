@@ -183,8 +183,7 @@ def list_frames(folder: str | os.PathLike, frames: str = layout.FRAMES) -> list[
 
     Raises ``InputError`` when its frames are not ours to read.
     """
-    matches = (layout.FRAME_NAME.fullmatch(path.name) for path in places.entries(pathlib.Path(folder) / frames))
-    return sorted(int(match[1]) for match in matches if match is not None)
+    return places.numbers(pathlib.Path(folder) / frames, layout.FRAME_NAME)
 
 
 def drop_frames_after(folder: str | os.PathLike, number: int, frames: str = layout.FRAMES) -> None:

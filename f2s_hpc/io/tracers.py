@@ -84,8 +84,7 @@ def list_tracers(folder: str | os.PathLike) -> list[int]:
 
     Raises ``InputError`` when they are not ours to read.
     """
-    matches = (_NAME.fullmatch(path.name) for path in places.entries(pathlib.Path(folder) / layout.TRACERS))
-    return sorted(int(match[1]) for match in matches if match is not None)
+    return places.numbers(pathlib.Path(folder) / layout.TRACERS, _NAME)
 
 
 def write_tracers(folder: str | os.PathLike, cycle: int, cloud: TracerCloud, provenance: dict) -> pathlib.Path:

@@ -188,8 +188,8 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, rows, noda
     (with ``strength``), in every direction if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH). The pair's
     lighter mass times the strength times the velocity difference passes from one to the other, so the
     pair keeps its momentum and no pair overshoots (strength < 1/6); and what passes along the axis alone leaves a
-    body's turning as it is. Adds to ``lost`` each node's half of the kinetic
-    energy that its pairs lose (half full nodes (m/s)^2), unless that is an array of one number.
+    body's turning as it is. Adds to ``lost`` each node's half of the kinetic energy that its pairs lose (half full
+    nodes (m/s)^2), unless that is an array of one number.
     ``rows``: which rows hold a node beyond ``fast`` (:func:`mark_fast_rows`); elsewhere only light nodes are looked at.
     """
     ny, nx = shape

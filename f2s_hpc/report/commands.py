@@ -91,12 +91,12 @@ def analyse(folder: str, settings: Settings, cycle: int | None = None, experimen
     drawn = draw_all(place, [("", found)])
     print(f"written to {place}: analysis.json, {', '.join(sorted(p.name for p in place.glob('*.csv')))}, "
           f"{sum(map(len, drawn.values()))} figures")
-    return _exit_code([found])
+    return int(_handover_is_wrong(found))
 
 
-def _exit_code(found: Sequence[Measurements]) -> int:
-    """Return 1 when the hand-over of any of the runs, where it was checked, changed anything, else 0."""
-    return int(any(m.handover is not None and m.handover.different for m in found))
+def _handover_is_wrong(found: Measurements) -> bool:
+    """Did the hand-over, where it was checked, change anything?"""
+    return bool(found.handover and found.handover.different)
 
 
 def report(folder: str, settings: Settings, second: str | None = None, cycle: int | None = None,
@@ -118,11 +118,11 @@ def report(folder: str, settings: Settings, second: str | None = None, cycle: in
     places.write_text(path, page)
     for text in facts.findings(runs):
         print(text)
-    for label, found in runs:
-        if _exit_code([found]):
-            print(f"{label + ': ' if label else ''}hand-over between cycles: {facts.handover_text(found.handover)}")
+    wrong = [(label, found) for label, found in runs if _handover_is_wrong(found)]
+    for label, found in wrong:
+        print(f"{label + ': ' if label else ''}hand-over between cycles: {facts.handover_text(found.handover)}")
     print(f"report {path} ({len(page) / 1e6:.1f} MB, one file, opens without network)")
-    return _exit_code([found for _, found in runs])
+    return int(bool(wrong))
 
 
 def compare_measurements(first: str, second: str, settings: Settings) -> str:

@@ -8,7 +8,6 @@ else may end otherwise than stable or with a clear reason.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -22,10 +21,19 @@ MOST_CELL_STEPS = 1.5e6
 """Cells times sound crossings of a cell: what a scene may cost; longer ones are shortened."""
 
 
+def _generator(*seeds: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seeds)))
+
+
+def _cell_size(draw: np.random.Generator) -> float:
+    """Return the cell size (m) of a scene: the first that is drawn for it."""
+    return float(10.0 ** draw.uniform(-6.5, -5.0))
+
+
 def scene_text(seed: int, index: int) -> str:
     """Return the TOML text of scene ``index`` of ``seed``: the same text for the same two numbers, on any machine."""
-    draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index])))
-    cell = float(10.0 ** draw.uniform(-6.5, -5.0))
+    draw = _generator(seed, index)
+    cell = _cell_size(draw)
     cells = draw.integers(3, 17, size=3)
     cells[2] = draw.integers(8, 25)
     if draw.random() < 0.1:
@@ -51,7 +59,7 @@ def scene_text(seed: int, index: int) -> str:
 
 def _flight(seed: int, index: int) -> str:
     """Return how the particles fly, drawn for itself: what else is drawn stays as it was before they could."""
-    draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index, 1])))
+    draw = _generator(seed, index, 1)
     return "ballistic" if draw.random() < 0.6 else "eulerian"
 
 
@@ -60,15 +68,15 @@ def options(seed: int, index: int) -> list[str]:
 
     Drawn for itself, as :func:`_flight`, so that found failures stay the scenes that they were.
     """
-    draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index, 2])))
+    draw = _generator(seed, index, 2)
     chosen = []
     if draw.random() < 0.3:
         chosen += [f"domain.faces.{side}=absorbing" for side in SIDES if draw.random() < 0.4]
     if draw.random() < 0.2:
         chosen.append("numerics.loss_heating=false")
     if draw.random() < 0.3:
-        cell = float(tomllib.loads(scene_text(seed, index))["domain"]["cell_size"].split()[0])
-        chosen.append(f"numerics.sleeping_depth={draw.uniform(8.0, 20.0) * cell!r} m")
+        depth = draw.uniform(8.0, 20.0) * _cell_size(_generator(seed, index))
+        chosen.append(f"numerics.sleeping_depth={depth!r} m")
     if draw.random() < 0.2:
         chosen.append("output.origin=true")
     if draw.random() < 0.3:

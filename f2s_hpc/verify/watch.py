@@ -203,7 +203,7 @@ class Watch:
         totals = s.ledger.totals()
         left = totals["mass_left"] + totals["mass_capped"]
         # mass is counted in quanta: what left is known to the bar of the mass only
-        known = left - self._left + MASS_BAR * (totals["mass_painted"] + self.substrate)
+        known = max(left - self._left, 0) + MASS_BAR * (totals["mass_painted"] + self.substrate)
         # (what cells beside absorbing sides lend goes with their PEEQ, and comes back with that of later)
         lent = sum(mpi.all_gather(float(np.abs(s.state.owned(LENT)).sum()))) if LENT in s.state.saved else 0.0
         carried = (known * s.model.mass_quantum + lent + self._lent) * self.peeq_max

@@ -11,7 +11,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.grid.box import Box
 from f2s_hpc.grid.decomposition import Ranges, ownership_ranges, process_grid
 from f2s_hpc.particles.plan import BatchPlan
-from f2s_hpc.workload.expected import Course, column_load, load_and_course
+from f2s_hpc.workload.expected import Growth, column_load, load_and_growth
 
 WORTH_IT = 0.03
 """Uneven ranges must lower the predicted imbalance by more than this; below it lies the chance of where particles fall,
@@ -66,10 +66,10 @@ def balance_of_run(scene: Scene, plan: BatchPlan) -> Balance:
     return mpi.run_together(balanced, scene, plan, mpi.size())
 
 
-def balance_and_course(scene: Scene, plan: BatchPlan) -> tuple[Balance, Course]:
+def balance_and_growth(scene: Scene, plan: BatchPlan) -> tuple[Balance, Growth]:
     """Return the balance of a run and how its work will grow, by one forecast, which takes seconds. Collective."""
-    def forecast() -> tuple[Balance, Course]:
-        load, course = load_and_course(scene, plan)
-        return balanced(scene, plan, mpi.size(), load), course
+    def forecast() -> tuple[Balance, Growth]:
+        load, growth = load_and_growth(scene, plan)
+        return balanced(scene, plan, mpi.size(), load), growth
 
     return mpi.run_together(forecast)

@@ -61,7 +61,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Course:
+class Growth:
     """How the work of a run grows with its time: ``share`` of all its active cell-steps that is done at ``times`` (s).
 
     Both rise from 0, ``share`` to 1.
@@ -200,7 +200,7 @@ def column_load(scene: Scene, plan: BatchPlan) -> np.ndarray:
     return summed_load(moments(scene, plan), scene.domain.cells[0])
 
 
-def load_and_course(scene: Scene, plan: BatchPlan) -> tuple[np.ndarray, Course]:
+def load_and_growth(scene: Scene, plan: BatchPlan) -> tuple[np.ndarray, Growth]:
     """Return :func:`column_load` and how the work of the run grows, by one look at its moments."""
     weights, work = [], []
 
@@ -213,7 +213,7 @@ def load_and_course(scene: Scene, plan: BatchPlan) -> tuple[np.ndarray, Course]:
 
     load = summed_load(noted(), scene.domain.cells[0])
     times, share = (sums / sums[-1] for sums in (np.cumsum([0.0, *part]) for part in (weights, work)))
-    return load, Course(tuple(scene.cycles.total_time * times), tuple(share))
+    return load, Growth(tuple(scene.cycles.total_time * times), tuple(share))
 
 
 def summed_load(history: Iterable[Moment], cells: int) -> np.ndarray:
