@@ -157,7 +157,9 @@ def launch(command: Sequence[str], ranks: int = 1, cwd: pathlib.Path | None = No
     ``environment`` adds variables. On timeout the whole job is ended and the test fails.
     """
     # Several mpirun on one machine would all bind their ranks to the same first cores.
-    variables = launch_environment(os.environ) | {"OMPI_MCA_hwloc_base_binding_policy": "none"}
+    # A rank that waits must leave the core to the tests beside it.
+    variables = launch_environment(os.environ) | {"OMPI_MCA_hwloc_base_binding_policy": "none",
+                                                  "OMPI_MCA_mpi_yield_when_idle": "1"}
     variables["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     variables |= environment or {}
     if ranks > 1:
