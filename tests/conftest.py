@@ -100,7 +100,7 @@ def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Add the counts of this part to the file that ``scripts/test`` sums up."""
     tally = os.environ.get("F2S_TEST_TALLY")
-    if tally and mpi.is_root():
+    if tally and mpi.is_root() and not hasattr(terminalreporter.config, "workerinput"):
         with open(tally, "a", encoding="ascii") as file:
             for kind in COUNTED:
                 file.write(f"{kind} {len(terminalreporter.getreports(kind))}\n")

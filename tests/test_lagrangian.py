@@ -89,8 +89,7 @@ def test_a_folded_mesh_ends_it_with_one_line():
         lagrangian.solve(COPPER, JC, D, 600.0, 298.15, 60e-9, 8.0, False)
 
 
-@pytest.mark.mpi
-@pytest.mark.parametrize("name", ["impact-lagrangian", "sphere-mirror"])
+@pytest.mark.parametrize("name", ["impact-lagrangian", pytest.param("sphere-mirror", marks=pytest.mark.mpi)])
 def test_impacts_agree_with_the_lagrangian_solution(name):
     """Bars at 12 cells per diameter; the same on all ranks.
 

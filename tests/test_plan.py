@@ -245,18 +245,17 @@ def test_rates_that_another_version_kept_are_measured_anew(tmp_path, monkeypatch
 
 def test_plan_command(run_f2s, tmp_path):
     """Prediction and check of a small scene: how many cells are active is a prediction that no clock disturbs."""
-    done = run_f2s(["plan", "quickstart", "--ranks", "1,2,4", "--rates", "rates.json", "--check", "--json", "p.json"])
+    done = run_f2s(["plan", "quickstart", "--ranks", "1,2", "--rates", "rates.json", "--check", "--json", "p.json"])
     assert done.returncode == 0, done.stderr
     assert "measuring the rates" in done.stdout
     record, rates = (json.loads((tmp_path / name).read_text()) for name in ("p.json", "rates.json"))
     assert rates["cores"] == crowd.cores()
     assert rates["crowding"] >= 1.0
-    assert [p["ranks"] for p in record["predictions"]] == [1, 2, 4]
+    assert [p["ranks"] for p in record["predictions"]] == [1, 2]
     for row in record["check"]:
         assert row["predicted_active"] == pytest.approx(row["active_cells"], rel=0.05)
-        assert row["step_s"] > row["messages_s"] >= 0.0
         assert row["ratio"] == pytest.approx(row["predicted_step_s"] / row["step_s"])
-        assert row["predicted_step_s"] == record["predictions"][row["ranks"] // 2]["step_s"]
+    assert [row["ranks"] for row in record["check"]] == [1, 2]
     again = run_f2s(["plan", "quickstart", "--ranks", "2", "--rates", "rates.json"])
     assert "measuring" not in again.stdout
     printed = float(again.stdout.splitlines()[-1].split()[3])

@@ -195,6 +195,21 @@ def test_failure_on_another_rank_fails_the_test_once(tmp_path):
     assert "this rank is wrong" in done.stdout
 
 
+def test_a_test_of_a_shared_part_counts_once(tmp_path):
+    """Fails if the processes that share a part add their counts to those of the part."""
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name in "ab":
+        (tmp_path / f"test_{name}.py").write_text("def test_one():\n    pass\n")
+    done = launch([sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--numprocesses", "2", "--dist", "loadfile",
+                   "."], cwd=tmp_path, environment={"F2S_TEST_TALLY": str(tmp_path / "tally")})
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout
+    counts = dict(line.split() for line in (tmp_path / "tally").read_text().splitlines())
+    assert counts["passed"] == "2"
+    assert len(counts) == len((tmp_path / "tally").read_text().splitlines())
+
+
 def test_rank_that_leaves_a_collective_call_ends_the_job(tmp_path):
     """Fails when ``_meet`` waits without a limit."""
     done = pytest_on_two_ranks(tmp_path, hang=True)

@@ -241,7 +241,7 @@ def one_rank(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     return folder / "on-1"
 
 
-@pytest.mark.parametrize("ranks", [2, 3, 4])
+@pytest.mark.parametrize("ranks", [2, 4])  # (3: the next test)
 def test_any_number_of_ranks_gives_the_same_bits(one_rank, ranks):
     """Fails when ``_planes`` leaves out ``mpi.maximum`` (take ``square`` itself)."""
     folder = one_rank.parent

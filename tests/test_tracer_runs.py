@@ -85,7 +85,7 @@ def same_points(first: pathlib.Path, second: pathlib.Path) -> None:
             np.testing.assert_array_equal(getattr(one.particles, name), getattr(two.particles, name), err_msg=name)
 
 
-@pytest.mark.parametrize("ranks", [2, 3, 4])
+@pytest.mark.parametrize("ranks", [2, 4])  # (3: the next test)
 def test_any_number_of_ranks_gives_the_same_points(one_rank, ranks):
     """Fails if points are not handed over: leave ``self.migrate()`` out of ``Tracers.move``."""
     f2s("run", "impacts.toml", "--out", f"on-{ranks}", ranks=ranks, cwd=one_rank.parent)

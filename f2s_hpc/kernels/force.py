@@ -63,7 +63,8 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
         s[COEFFICIENT * W + i] = hourglass * bulk.density * x * sound * dx * dx / 64.0
         s[SHOCK * W + i] = q
         s[POWER * W + i] = 0.0
-        extra = broadening if closing < 0.0 else 0.0
+        # also of a full cell that does not close: a step that changes whenever one does puts energy in
+        extra = max(full, shut) * broadening
         fastest = extra + math.sqrt(sound * sound + extra * extra)
         s[SPEED * W + i] = fastest if x > 0.0 else 0.0
 
