@@ -131,7 +131,7 @@ def test_a_node_beyond_the_speed_limit_shares_its_momentum():
 
 
 def test_the_step_is_the_same_whether_a_full_cell_closes_or_opens():
-    """Slowly. Fails if linear shock viscosity counts only where it acts: energy then rises with each change of step.
+    """Slowly. Fails if linear shock viscosity counts only where it acts: energy then rises with changes of the step.
 
     By 0.13 % of the impact's in random scene 75, whose full cells swing.
     """
