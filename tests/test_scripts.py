@@ -201,7 +201,7 @@ def test_a_test_of_a_shared_part_counts_once(tmp_path):
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     for name in "ab":
         (tmp_path / f"test_{name}.py").write_text("def test_one():\n    pass\n")
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--numprocesses", "2", "--dist", "loadfile", "."]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-n", "2", "--dist", "loadfile", "."]
     done = launch(command, cwd=tmp_path, environment={"F2S_TEST_TALLY": str(tmp_path / "tally")})
     assert done.returncode == 0, done.stdout
     assert "2 passed" in done.stdout
