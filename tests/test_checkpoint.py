@@ -87,9 +87,11 @@ def equal_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("split", SPLITS)
-def test_file_holds_the_bytes_of_the_whole_field(folder, split):
-    """Fails when ``write_collective`` selects at (0, 0, 0) instead of ``block.start`` (2 ranks or more),
-    or when ``write_checkpoint`` asks for "f4" instead of "f8"."""
+@pytest.mark.parametrize("at_once", [1, 2**20])
+def test_file_holds_the_bytes_of_the_whole_field(folder, split, at_once, monkeypatch):
+    """Fails when ``write_collective`` selects at (0, 0, 0) instead of ``start`` (2 ranks or more), when ``in_slab``
+    leaves out ``low``, or when ``write_checkpoint`` asks for "f4" instead of "f8"."""
+    monkeypatch.setattr(layout, "AT_ONCE", at_once)
     path = checkpoint.write_checkpoint(folder, 3, my_blocks(split), {"step": 12})
     assert path.name == "checkpoint_cycle_0003_step_00000012.h5"
     arrays, _ = runs.open_checkpoint_serial(path)
@@ -375,8 +377,8 @@ def test_full_disk_ends_all_ranks_alike(folder, monkeypatch):
     monkeypatch.undo()
     write, calls = layout.write_collective, []
 
-    def fail_on_last(dataset, block):
-        write(dataset, block)
+    def fail_on_last(dataset, block, slab):
+        write(dataset, block, slab)
         calls.append(block.name)
         if mpi.rank() == mpi.size() - 1 and len(calls) == 2:
             raise OSError(28, "No space left on device")
@@ -396,10 +398,10 @@ def test_silent_write_failure_is_found(folder, monkeypatch):
     """MPI libraries have reported success on a full disk. Fails when ``write_checkpoint`` skips the read-back."""
     write = layout.write_collective
 
-    def lose_the_last(dataset, block):
+    def lose_the_last(dataset, block, slab):
         if block.name == "peeq":
             block = Block(block.name, np.zeros_like(block.data), block.start, block.global_shape)
-        write(dataset, block)
+        write(dataset, block, slab)
 
     monkeypatch.setattr(layout, "write_collective", lose_the_last)
     with pytest.raises(CheckpointError, match="'peeq' does not read back as written"):

@@ -57,6 +57,24 @@ def test_prediction_is_true_within_ten_percent(tmp_path, cell_um, ranks):
 
 @pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("ranks", [1, 2])
+def test_prediction_is_true_of_a_box_that_is_mostly_void(tmp_path, ranks):
+    """Fails if the DMDAs of cells and of nodes are there at once, if a derived field is written where there is void, or
+    if a whole field is copied to be written or read back.
+    """
+    overrides = ["domain.cell_size=12 um", *SHORT, "domain.substrate_height=24 um", "batches.particles=100",
+                 'domain.size=["1.2 mm", "1.2 mm", "6 mm"]', "output.checkpoints=false"]
+    scene = load_scene("section4", overrides)
+    box = Box(scene.domain.cells, scene.domain.cell_size)
+    expected = memory.of_fullest(scene, ownership_ranges(box, process_grid(box, ranks)), make_batches(scene))
+    settings = [word for one in overrides for word in ("--set", one)]
+    done = launch([sys.executable, "-m", "f2s_hpc", "run", "section4", "--out", "run", *settings], ranks, tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    measured = runs.read_summary(tmp_path / "run")["peak_memory_bytes_per_rank"]
+    assert expected.total == pytest.approx(measured, rel=0.1)
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_prediction_knows_the_tracers(tmp_path, ranks):
     """A million points, seeded at once and written: what they take more, with and without. Fails if it is forgotten."""
     expected, measured = [], []

@@ -65,8 +65,10 @@ def frames(shared_path: pathlib.Path) -> pathlib.Path:
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("split", ["z", "x", "grid"])
-def test_frame_holds_the_whole_field_in_float32(frames, split):
-    """Fails when ``write_collective`` ignores ``block.start`` (2 ranks or more), or writes float64."""
+@pytest.mark.parametrize("at_once", [1, 2**20])
+def test_frame_holds_the_whole_field_in_float32(frames, split, at_once, monkeypatch):
+    """Fails when ``write_collective`` ignores ``start`` (2 ranks or more), or writes float64."""
+    monkeypatch.setattr(layout, "AT_ONCE", at_once)
     path = write(frames, 3, split)
     arrays, meta = runs.open_frame(frames.parent, 3)
     for name in (*CELL_FIELDS, "velocity_z"):
@@ -137,8 +139,8 @@ def test_refused_frames_leave_nothing(frames, monkeypatch):
         vtkhdf.write_frame(frames, 0, 0.0, [], ORIGIN, SPACING, {})
     write_as_told = layout.write_collective
 
-    def lose(dataset, block):
-        write_as_told(dataset, Block(block.name, 0.0 * block.data, block.start, block.global_shape))
+    def lose(dataset, block, slab):
+        write_as_told(dataset, Block(block.name, 0.0 * block.data, block.start, block.global_shape), slab)
 
     monkeypatch.setattr(layout, "write_collective", lose)
     with pytest.raises(F2SError, match=r"frame 0.*'peeq' does not read back"):

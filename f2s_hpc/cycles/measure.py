@@ -11,6 +11,7 @@ from f2s_hpc.analysis.surface import HALF_FULL, LANDED, grounded_cells, with_ski
 from f2s_hpc.cycles.insert import kinetic_quanta, mass_quanta
 from f2s_hpc.fields import BY_NAME, CELL, STRESS
 from f2s_hpc.grid.box import GHOST
+from f2s_hpc.grid.pages import sparse_zeros
 from f2s_hpc.kernels import derived
 from f2s_hpc.solver.ledger import Ledger
 from f2s_hpc.solver.model import Model
@@ -29,7 +30,7 @@ def derived_field(state: State, model: Model, name: str) -> np.ndarray:
 
 def _derived_with_ghosts(state: State, model: Model, name: str) -> np.ndarray:
     """Return pressure, von_mises or speed on the local cells [k, j, i]; right on owned cells and one layer around."""
-    out = np.zeros(state.part.cell_shape)
+    out = sparse_zeros(state.part.cell_shape)
     flat = state.flat
     if name == "pressure":
         derived.cell_pressure(model.eos, flat["mass"], flat["volume_fraction"], state.energy, out.reshape(-1))
@@ -132,7 +133,8 @@ def surface_map(state: State, landed: np.ndarray) -> np.ndarray:
     0 where there is none. ``landed``: bool, local cells with ghosts.
     """
     part = state.part
-    fraction = np.where(landed, state.views["volume_fraction"], 0.0)
+    fraction = sparse_zeros(part.cell_shape)
+    np.copyto(fraction, state.views["volume_fraction"], where=landed)
     own = fraction[part.owned_cells]
     above = fraction[GHOST + 1:GHOST + 1 + part.count[2], part.owned_cells[1], part.owned_cells[2]]
     solid = own >= 0.5

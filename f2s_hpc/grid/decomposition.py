@@ -133,16 +133,16 @@ class Decomposition:
         cell_ranges = ranges or ownership_ranges(box, self.grid)
         if any(len(r) > 1 and min(r) < GHOST for r in cell_ranges):
             raise InputError(f"process grid {self.grid} leaves a slab thinner than {GHOST} cells")
-        node_ranges = [r[:-1] + [r[-1] + 1] for r in cell_ranges]
-        cell_da = self._create(box.cells, cell_ranges)
-        node_da = self._create(tuple(n + 1 for n in box.cells), node_ranges)
-        (x0, x1), (y0, y1), (z0, z1) = cell_da.getRanges()
+        # one after the other: see SETTING_UP
+        da = self._create(box.cells, cell_ranges)
+        (x0, x1), (y0, y1), (z0, z1) = da.getRanges()
         self.part = Part(box, (x0, y0, z0), (x1 - x0, y1 - y0, z1 - z0))
-        self.cell_ghosts = self._ghost_map(cell_da, self.part.cell_shape)
-        self.node_ghosts = self._ghost_map(node_da, self.part.node_shape)
-        cell_da.destroy()
-        node_da.destroy()
-        # a DMDA takes some 100 bytes per cell while it is made; fields would be laid into what is kept of that
+        self.cell_ghosts = self._ghost_map(da, self.part.cell_shape)
+        da.destroy()
+        da = self._create(tuple(n + 1 for n in box.cells), [r[:-1] + [r[-1] + 1] for r in cell_ranges])
+        self.node_ghosts = self._ghost_map(da, self.part.node_shape)
+        da.destroy()
+        # fields would be laid into what is kept of them
         trim_heap()
 
     def _create(self, sizes: tuple[int, ...], ranges: list[list[int]]) -> PETSc.DMDA:
@@ -161,20 +161,26 @@ class Decomposition:
 
     def _ghost_map(self, da: PETSc.DMDA, shape: tuple[int, int, int]) -> GhostMap:
         """Let the DMDA carry each owned point's (rank, flat index) into the ghosts of its neighbours."""
-        vector = da.createLocalVec()
+        if mpi.size() == 1:
+            return GhostMap(*np.zeros((3, 0), dtype=np.int64))
         (x0, x1), (y0, y1), (z0, z1) = da.getRanges()
-        width = GHOST
-        inner = tuple(slice(width, width + n) for n in (z1 - z0, y1 - y0, x1 - x0))
-        natural = tuple(n + 2 * width for n in (z1 - z0, y1 - y0, x1 - x0))
+        owned = (z1 - z0, y1 - y0, x1 - x0)
+        sent, received = da.createGlobalVec(), da.createLocalVec()
+        label = sent.getArray().reshape(owned)
+        plane = np.arange(shape[1] * shape[2], dtype=np.int64).reshape(shape[1:])
+        plane = plane[GHOST:GHOST + owned[1], GHOST:GHOST + owned[2]]
+        for k in range(owned[0]):  # (a plane at a time: no array of all)
+            label[k] = plane + (k + GHOST) * shape[1] * shape[2] + mpi.rank() * _RANK_STRIDE
+        received.set(-1.0)
+        da.globalToLocal(sent, received)
         # the DMDA's local array is the low part of ours (nodes have a spare layer on inner ranks)
-        flat = np.arange(np.prod(shape), dtype=np.int64).reshape(shape)[tuple(slice(0, n) for n in natural)]
-        label = np.full(natural, -1.0)
-        label[inner] = mpi.rank() * _RANK_STRIDE + flat[inner]
-        vector.setArray(label.ravel())
-        da.localToLocal(vector, vector)
-        label = vector.getArray().copy().reshape(natural)
-        vector.destroy()
-        label[inner] = -1.0
-        ghosts = label >= 0.0
-        owner, remote = np.divmod(label[ghosts].astype(np.int64), np.int64(_RANK_STRIDE))
-        return GhostMap(flat[ghosts], owner, remote)
+        natural = tuple(n + 2 * GHOST for n in owned)
+        label = received.getArray().reshape(natural)
+        label[tuple(slice(GHOST, GHOST + n) for n in owned)] = -1.0
+        places = np.flatnonzero(label.reshape(-1) >= 0.0)
+        owner, remote = np.divmod(label.reshape(-1)[places].astype(np.int64), np.int64(_RANK_STRIDE))
+        flat = np.ravel_multi_index(np.unravel_index(places, natural), shape)
+        del label  # (else destroyed vectors stay, and their DMDA with them)
+        sent.destroy()
+        received.destroy()
+        return GhostMap(flat, owner, remote)

@@ -19,11 +19,12 @@ Readers never see a file that is being written: it carries another name until it
 from __future__ import annotations
 
 import json
+import math
 import os
 import pathlib
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import h5py
@@ -47,6 +48,7 @@ PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
 CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
 FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
 LARGEST_CHUNK = 64
+AT_ONCE = 2**20  # values that are written or read back at once, so that no copy of a whole field is made
 SPARE_BYTES = 200_000
 _UNCLOSED: list[h5py.File] = []
 
@@ -184,17 +186,32 @@ def as_type(data: np.ndarray, dtype: np.dtype | str) -> np.ndarray:
         return np.ascontiguousarray(data, dtype=dtype)
 
 
-def write_collective(dataset: h5py.Dataset, block: Block) -> None:
-    """Write one block per rank in one collective call; a rank with an empty block takes part too.
+def slabs(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
+    """Yield ranges of planes that cover a dataset, ``AT_ONCE`` values and whole chunks each; alike on all ranks."""
+    depth = dataset.chunks[0] if dataset.chunks else 1
+    planes = depth * max(1, AT_ONCE // (depth * max(1, math.prod(dataset.shape[1:]))))
+    for low in range(0, dataset.shape[0], planes):
+        yield low, min(low + planes, dataset.shape[0])
+
+
+def in_slab(block: Block, slab: tuple[int, int]) -> tuple[np.ndarray, Shape]:
+    """Return what of ``block`` lies in a range of planes of its field, and its first global index."""
+    low, high = (min(max(plane - block.start[0], 0), len(block.data)) for plane in slab)
+    return block.data[low:high], (block.start[0] + low, *block.start[1:])
+
+
+def write_collective(dataset: h5py.Dataset, block: Block, slab: tuple[int, int]) -> None:
+    """Write the ranks' blocks in a range of planes in one collective call; a rank with nothing there takes part too.
 
     The cast to the file's type happens in memory first: HDF5 refuses to convert within a filtered
     collective write.
     """
-    data = as_type(block.data, dataset.dtype)
+    part, start = in_slab(block, slab)
+    data = as_type(part, dataset.dtype)
     file_space = dataset.id.get_space()
     memory_space = h5py.h5s.create_simple(data.shape if data.size else (1, 1, 1))
     if data.size:
-        file_space.select_hyperslab(tuple(map(int, block.start)), data.shape)
+        file_space.select_hyperslab(tuple(map(int, start)), data.shape)
     else:
         file_space.select_none()
         memory_space.select_none()
@@ -255,7 +272,8 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
     try:
         datasets = attempt_together(structure, context, kind)
         for dataset, block in zip(datasets, blocks, strict=True):
-            attempt_together(lambda d=dataset, b=block: write_collective(d, b), context, kind)
+            for slab in slabs(dataset):
+                attempt_together(lambda d=dataset, b=block, s=slab: write_collective(d, b, s), context, kind)
         # Open MPI may report success on a full disk, and the flush would then hang.
         attempt_on_root(lambda: _check_space(path.parent, 0), context, kind)
         attempt_together(file.flush, context, kind)
@@ -269,9 +287,11 @@ def read_back(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Block]
     """Compare this rank's part of the file with memory: some MPI libraries report success on a full disk."""
     with h5py.File(path, "r") as file:
         for place, block in zip(places, blocks, strict=True):
-            found = file[place][box_selection(block.start, block.data.shape)]
-            if found.tobytes() != as_type(block.data, found.dtype).tobytes():
-                raise OSError(f"field {block.name!r} does not read back as written")
+            for slab in slabs(file[place]):
+                part, start = in_slab(block, slab)
+                found = file[place][box_selection(start, part.shape)]
+                if found.tobytes() != as_type(part, found.dtype).tobytes():
+                    raise OSError(f"field {block.name!r} does not read back as written")
 
 
 def _check_space(folder: pathlib.Path, size: int) -> None:

@@ -12,26 +12,29 @@ from f2s_hpc.materials.pressure import pressure, stored_energy
 
 @kernel
 def cell_pressure(eos, mass, fraction, energy, out):
-    """Write the pressure (Pa) of each cell; 0 where there is void. All arrays flat."""
+    """Write the pressure (Pa) of each full cell into ``out``, zero before. All arrays flat."""
     for c in range(mass.size):
-        e = energy[c] if energy.size > 1 else 0.0
-        out[c] = pressure(eos, mass[c], e) if fraction[c] >= 1.0 and mass[c] > 0.0 else 0.0
+        if fraction[c] >= 1.0 and mass[c] > 0.0:
+            out[c] = pressure(eos, mass[c], energy[c] if energy.size > 1 else 0.0)
 
 
 @kernel
 def cell_von_mises(stress, out):
-    """Write the von Mises stress (Pa) of each cell from its six deviatoric components (flat arrays)."""
+    """Write the von Mises stress (Pa) of each cell into ``out``, zero before: six deviatoric components (flat arrays).
+    """
     for c in range(out.size):
         normal = stress[0][c] ** 2 + stress[1][c] ** 2 + stress[2][c] ** 2
         shear = stress[3][c] ** 2 + stress[4][c] ** 2 + stress[5][c] ** 2
-        out[c] = math.sqrt(1.5 * (normal + 2.0 * shear))
+        if not normal + 2.0 * shear == 0.0:  # what is not written takes no memory; what is not finite is seen
+            out[c] = math.sqrt(1.5 * (normal + 2.0 * shear))
 
 
 @kernel
 def cell_speed(shape, mass, u, v, w, out):
-    """Write the speed (m/s) of each cell that holds material: the norm of its eight nodes' mean velocity.
+    """Write the speed (m/s) of each cell that holds material into ``out``, zero before.
 
-    ``shape``: (nz, ny, nx) of the cell array, ghosts included; the outermost layer is left at zero.
+    It is the norm of the mean velocity of its eight nodes. ``shape``: (nz, ny, nx) of the cell array, ghosts included;
+    the outermost layer is left at zero.
     """
     nz, ny, nx = shape
     row, plane = nx + 1, (nx + 1) * (ny + 1)
@@ -39,7 +42,6 @@ def cell_speed(shape, mass, u, v, w, out):
         for j in range(ny):
             for i in range(nx):
                 c = (k * ny + j) * nx + i
-                out[c] = 0.0
                 if mass[c] <= 0.0:
                     continue
                 n = (k * (ny + 1) + j) * (nx + 1) + i

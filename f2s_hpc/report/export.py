@@ -184,6 +184,6 @@ def _pressure(file: runs.CheckpointLayers, eos: object, first: int, last: int) -
     """Return the pressure (Pa) of layers of a checkpoint, as the run shows it."""
     mass, fraction = (file.layers(name, first, last) for name in ("mass", "volume_fraction"))
     energy = file.layers("internal_energy", first, last) if "internal_energy" in file.shapes else np.zeros(1)
-    out = np.empty(mass.shape)
+    out = np.zeros(mass.shape)
     derived.cell_pressure(eos, mass.reshape(-1), fraction.reshape(-1), energy.reshape(-1), out.reshape(-1))
     return out

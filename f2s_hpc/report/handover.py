@@ -150,7 +150,7 @@ def _von_mises_difference(state: State, file: runs.CheckpointLayers, old: np.nda
         both = []
         for parts in ([file.layers(n, layers.start, layers.stop) for n in fields.STRESS],
                       [state.owned(n)[layers] for n in fields.STRESS]):
-            out = np.empty(parts[0].shape)
+            out = np.zeros(parts[0].shape)
             derived.cell_von_mises(tuple(np.ascontiguousarray(p).reshape(-1) for p in parts), out.reshape(-1))
             both.append(out)
         largest = max(largest, float(np.abs(both[0] - both[1])[old[layers]].max(initial=0.0)))

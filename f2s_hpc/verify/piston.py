@@ -91,7 +91,7 @@ def _behind(eos: MieGrueneisen, ahead: Wave, density: float, deviator: float) ->
 def _profiles(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     """Return along x the compressive normal stress (Pa, cells) and the velocity (m/s, nodes)."""
     state = setup.state
-    pressure = np.empty(state.part.cell_shape)
+    pressure = np.zeros(state.part.cell_shape)
     cell_pressure(setup.model.eos, state.flat["mass"], state.flat["volume_fraction"], state.energy,
                   pressure.reshape(-1))
     stress = pressure[state.part.owned_cells] - state.owned("stress_xx")

@@ -77,7 +77,7 @@ class Mode:
 def _errors(setup: Setup, mode: Mode) -> tuple[float, float]:
     """L2 errors of stress and velocity, over the L2 norms of their largest values."""
     state, time = setup.state, setup.clock.in_cycle
-    found = np.empty(state.part.cell_shape)
+    found = np.zeros(state.part.cell_shape)
     cell_pressure(setup.model.eos, state.flat["mass"], state.flat["volume_fraction"], state.energy, found.reshape(-1))
     cells, nodes = state.part.owned_cells, state.part.owned_nodes
     pressure, deviator = mode.stress(time)

@@ -2,8 +2,9 @@
 
     baseline + fields (cells with ghosts) + temporaries per cell + maps per ghost that another rank owns
 
-The three constants are measured (tests/test_memory.py holds them against real runs). What nothing touches takes no
-memory: with ballistic flight that is all above the deposit, else particles pass through all of the box.
+or, in a box that is mostly void, what the start takes. The constants are measured (tests/test_memory.py holds them
+against real runs). What nothing touches takes no memory: with ballistic flight that is all above the deposit, else
+particles pass through all of the box.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ TEMPORARY = 8
 """Per local cell: the mass of spheres that are put onto the grid (bytes).
 
 What a cycle is measured and a frame is written with takes less than the fields of the step that are given back then."""
+
+SETTING_UP = 16, 40
+"""Per local cell, on one rank and on several, before there are fields: the DMDA and labels of its points (bytes)."""
 
 MAP = 33
 """Per ghost of another rank and exchanged field: indices of the star forests here and there, and buffers (bytes)."""
@@ -128,7 +132,9 @@ def of_ranks(scene: Scene, ranges: Ranges, planes: int) -> list[RankMemory]:
             for z in kinds[2]:
                 count, neighbours = zip(x, y, z)
                 part = Part(box, (0, 0, 0), count)
-                arrays = of_fields(scene, part, planes) + TEMPORARY * math.prod(part.cell_shape)
+                cells = math.prod(part.cell_shape)
+                arrays = max(of_fields(scene, part, planes) + TEMPORARY * cells,
+                             SETTING_UP[sum(neighbours) > 0] * cells)
                 found.append(RankMemory(BASELINE, arrays, MAP * _mapped(scene, neighbours, count), math.prod(count)))
     return found
 
