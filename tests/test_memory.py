@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pathlib
 import re
 import sys
 import tracemalloc
@@ -38,18 +39,23 @@ def compiled(tmp_path_factory):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def predicted_and_measured(folder: pathlib.Path, ranks: int, *settings: str) -> tuple[memory.RankMemory, float]:
+    """Return what the fullest rank of a short run of section4 should take, and what it did (bytes)."""
+    overrides = [*SHORT, *settings]
+    scene = load_scene("section4", overrides)
+    box = Box(scene.domain.cells, scene.domain.cell_size)
+    expected = memory.of_fullest(scene, ownership_ranges(box, process_grid(box, ranks)), make_batches(scene))
+    words = [word for one in overrides for word in ("--set", one)]
+    done = launch([sys.executable, "-m", "f2s_hpc", "run", "section4", "--out", "run", *words], ranks, folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return expected, runs.read_summary(folder / "run")["peak_memory_bytes_per_rank"]
+
+
 @pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize(("cell_um", "ranks"), [(12, 1), (12, 2), (5, 1), (5, 2)])
 def test_prediction_is_true_within_ten_percent(tmp_path, cell_um, ranks):
     """Fails if a field, the ghosts or the maps are forgotten: at 5 um they are a fifth of it."""
-    overrides = [f"domain.cell_size={cell_um} um", *SHORT]
-    scene = load_scene("section4", overrides)
-    box = Box(scene.domain.cells, scene.domain.cell_size)
-    expected = memory.of_fullest(scene, ownership_ranges(box, process_grid(box, ranks)), make_batches(scene))
-    settings = [word for one in overrides for word in ("--set", one)]
-    done = launch([sys.executable, "-m", "f2s_hpc", "run", "section4", "--out", "run", *settings], ranks, tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    measured = runs.read_summary(tmp_path / "run")["peak_memory_bytes_per_rank"]
+    expected, measured = predicted_and_measured(tmp_path, ranks, f"domain.cell_size={cell_um} um")
     assert expected.total == pytest.approx(measured, rel=0.1)
     if cell_um == 5:
         assert expected.arrays + expected.maps > 0.2 * measured
@@ -61,15 +67,9 @@ def test_prediction_is_true_of_a_box_that_is_mostly_void(tmp_path, ranks):
     """Fails if the DMDAs of cells and of nodes are there at once, if a derived field is written where there is void, or
     if a whole field is copied to be written or read back.
     """
-    overrides = ["domain.cell_size=12 um", *SHORT, "domain.substrate_height=24 um", "batches.particles=100",
-                 'domain.size=["1.2 mm", "1.2 mm", "6 mm"]', "output.checkpoints=false"]
-    scene = load_scene("section4", overrides)
-    box = Box(scene.domain.cells, scene.domain.cell_size)
-    expected = memory.of_fullest(scene, ownership_ranges(box, process_grid(box, ranks)), make_batches(scene))
-    settings = [word for one in overrides for word in ("--set", one)]
-    done = launch([sys.executable, "-m", "f2s_hpc", "run", "section4", "--out", "run", *settings], ranks, tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    measured = runs.read_summary(tmp_path / "run")["peak_memory_bytes_per_rank"]
+    expected, measured = predicted_and_measured(
+        tmp_path, ranks, "domain.cell_size=12 um", 'domain.size=["1.2 mm", "1.2 mm", "6 mm"]',
+        "domain.substrate_height=24 um", "batches.particles=100", "output.checkpoints=false")
     assert expected.total == pytest.approx(measured, rel=0.1)
 
 
