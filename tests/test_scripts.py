@@ -205,9 +205,10 @@ def test_a_test_of_a_shared_part_counts_once(tmp_path):
     done = launch(command, cwd=tmp_path, environment={"F2S_TEST_TALLY": str(tmp_path / "tally")})
     assert done.returncode == 0, done.stdout
     assert "2 passed" in done.stdout
-    counts = dict(line.split() for line in (tmp_path / "tally").read_text().splitlines())
+    lines = (tmp_path / "tally").read_text().splitlines()
+    counts = dict(line.split() for line in lines)
     assert counts["passed"] == "2"
-    assert len(counts) == len((tmp_path / "tally").read_text().splitlines())
+    assert len(counts) == len(lines)
 
 
 def test_rank_that_leaves_a_collective_call_ends_the_job(tmp_path):

@@ -133,14 +133,15 @@ class Decomposition:
         cell_ranges = ranges or ownership_ranges(box, self.grid)
         if any(len(r) > 1 and min(r) < GHOST for r in cell_ranges):
             raise InputError(f"process grid {self.grid} leaves a slab thinner than {GHOST} cells")
-        # one after the other: see SETTING_UP
         da = self._create(box.cells, cell_ranges)
         (x0, x1), (y0, y1), (z0, z1) = da.getRanges()
         self.part = Part(box, (x0, y0, z0), (x1 - x0, y1 - y0, z1 - z0))
-        self.cell_ghosts = self._ghost_map(da, self.part.cell_shape)
-        da.destroy()
-        da = self._create(tuple(n + 1 for n in box.cells), [r[:-1] + [r[-1] + 1] for r in cell_ranges])
-        self.node_ghosts = self._ghost_map(da, self.part.node_shape)
+        self.cell_ghosts = self.node_ghosts = GhostMap(*np.zeros((3, 0), dtype=np.int64))
+        if mpi.size() > 1:
+            self.cell_ghosts = self._ghost_map(da, self.part.cell_shape)
+            da.destroy()  # before the next is made: each takes memory for every point (workload.memory.SETTING_UP)
+            da = self._create(tuple(n + 1 for n in box.cells), [r[:-1] + [r[-1] + 1] for r in cell_ranges])
+            self.node_ghosts = self._ghost_map(da, self.part.node_shape)
         da.destroy()
         # fields would be laid into what is kept of them
         trim_heap()
@@ -161,8 +162,6 @@ class Decomposition:
 
     def _ghost_map(self, da: PETSc.DMDA, shape: tuple[int, int, int]) -> GhostMap:
         """Let the DMDA carry each owned point's (rank, flat index) into the ghosts of its neighbours."""
-        if mpi.size() == 1:
-            return GhostMap(*np.zeros((3, 0), dtype=np.int64))
         (x0, x1), (y0, y1), (z0, z1) = da.getRanges()
         owned = (z1 - z0, y1 - y0, x1 - x0)
         sent, received = da.createGlobalVec(), da.createLocalVec()

@@ -99,10 +99,9 @@ def _file_checksums(path: pathlib.Path, shapes: Mapping[str, tuple[int, int, int
                 if dataset.shape != shape or dataset.dtype != np.float64:
                     raise ValueError(f"field {name!r} has shape {dataset.shape} {dataset.dtype}, not {shape} float64")
                 first, last = (shape[0] * r // mpi.size() for r in (mpi.rank(), mpi.rank() + 1))
-                planes = max(1, layout.AT_ONCE // max(1, shape[1] * shape[2]))
-                for low in range(first, last, planes):
-                    part = dataset[low:min(low + planes, last)]
-                    sums[number:number + 1] += partial_checksums([Block(name, part, (low, 0, 0), shape)])
+                for low, high in layout.slabs(dataset, first, last):
+                    block = Block(name, dataset[low:high], (low, 0, 0), shape)
+                    sums[number:number + 1] += partial_checksums([block])
         return sums
 
     sums = attempt_together(slabs, f"{path}: damaged checkpoint", CheckpointError)

@@ -186,12 +186,16 @@ def as_type(data: np.ndarray, dtype: np.dtype | str) -> np.ndarray:
         return np.ascontiguousarray(data, dtype=dtype)
 
 
-def slabs(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
-    """Yield ranges of planes that cover a dataset, ``AT_ONCE`` values and whole chunks each; alike on all ranks."""
+def slabs(dataset: h5py.Dataset, first: int = 0, end: int | None = None) -> Iterator[tuple[int, int]]:
+    """Yield ranges of planes that cover a dataset, or its planes ``first`` to ``end``, ``AT_ONCE`` values each.
+
+    Of a whole dataset they are alike on all ranks, and of whole chunks.
+    """
+    end = dataset.shape[0] if end is None else end
     depth = dataset.chunks[0] if dataset.chunks else 1
     planes = depth * max(1, AT_ONCE // (depth * max(1, math.prod(dataset.shape[1:]))))
-    for low in range(0, dataset.shape[0], planes):
-        yield low, min(low + planes, dataset.shape[0])
+    for low in range(first, end, planes):
+        yield low, min(low + planes, end)
 
 
 def in_slab(block: Block, slab: tuple[int, int]) -> tuple[np.ndarray, Shape]:

@@ -56,7 +56,7 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
         sound = math.sqrt((stiffness(eos, compression, e) + shear) / density)
         # a cell that is to close within the step is in the shock of the impact already
         shut = 1.0 if x > unloaded(eos, e) * volume * (1.0 + last_dt * s[RATE * W + i]) else full
-        closing = max(full, shut) * min(s[RATE * W + i], 0.0)
+        closing = shut * min(s[RATE * W + i], 0.0)
         broadening = linear * sound - quadratic * quadratic * dx * closing
         q = -density * dx * closing * broadening
         s[TOTAL * W + i] = p
@@ -64,7 +64,7 @@ def _pressure(mass, fraction, energy, dx, last_dt, bulk, eos, viscosity, hourgla
         s[SHOCK * W + i] = q
         s[POWER * W + i] = 0.0
         # also of a full cell that does not close: a step that changes whenever one does puts energy in
-        extra = max(full, shut) * broadening
+        extra = shut * broadening
         fastest = extra + math.sqrt(sound * sound + extra * extra)
         s[SPEED * W + i] = fastest if x > 0.0 else 0.0
 

@@ -158,12 +158,11 @@ def checkpoint_fields(path: pathlib.Path) -> tuple[dict[str, np.ndarray], dict]:
             last = min(first + _LAYERS_AT_ONCE, shape[0])
             for name in ("volume_fraction", "peeq", "temperature"):
                 arrays[name][first:last] = file.layers(name, first, last)
-            out = np.zeros((last - first, *shape[1:]))
-            derived.cell_von_mises(tuple(file.layers(n, first, last).reshape(-1) for n in STRESS), out.reshape(-1))
-            arrays["von_mises"][first:last], out[...] = out, 0.0
-            derived.cell_speed(out.shape, file.layers("mass", first, last).reshape(-1),
-                               *(file.layers(n, first, last + 1).reshape(-1) for n in VELOCITY), out.reshape(-1))
-            arrays["speed"][first:last] = out
+            stress, speed = np.zeros((2, last - first, *shape[1:]))
+            derived.cell_von_mises(tuple(file.layers(n, first, last).reshape(-1) for n in STRESS), stress.reshape(-1))
+            derived.cell_speed(speed.shape, file.layers("mass", first, last).reshape(-1),
+                               *(file.layers(n, first, last + 1).reshape(-1) for n in VELOCITY), speed.reshape(-1))
+            arrays["von_mises"][first:last], arrays["speed"][first:last] = stress, speed
         return arrays, file.attributes
 
 
