@@ -30,6 +30,7 @@ from f2s_hpc.report.measure import (
     measure,
     median_diameter,
     particles_of_plane,
+    section_planes,
 )
 from f2s_hpc.report.page import build_page
 from f2s_hpc.report.quantities import depth_tables, quantities
@@ -86,17 +87,35 @@ def test_the_median_particle_is_that_of_the_volume_and_half_of_it_is_the_surface
     assert measure(deposit, dataclasses.replace(SETTINGS, surface_zone=11e-6)).porosity.zone == 11e-6
 
 
+def test_sections_are_a_median_diameter_apart():
+    """A box of 30 x 24 cells, particles of 5.95 cells.
+
+    Fails when planes lie closer, so that a particle counts twice, or the first at a side of the box.
+    """
+    even = Batch(*(np.full(4, 3e-5) for _ in range(3)), np.full(4, 5.95e-6))
+    planes = section_planes(dataclasses.replace(made(), batches=[even]))
+    assert planes == [(1, 3), (1, 9), (1, 15), (1, 21), (2, 3), (2, 9), (2, 15), (2, 21), (2, 27)]
+
+
 def test_what_flies_is_no_part_of_the_deposit():
-    """Fails when distributions or sections take all material, or the substrate passes for the deposit."""
+    """Fails when distributions or sections take all material, cells count as full, or the substrate is deposit."""
     deposit = made()
     found = measure(deposit, SETTINGS)
     for name, value in (("peeq", 2.0), ("temperature", 473.15), ("von_mises", 2e8)):
         assert deposit_percentiles(found, name) == pytest.approx(np.full(5, value), rel=1e-5)
         assert found.distributions[name].high[-1] <= (TOP - GROUND) * DX + 5e-6
+        landed = deposit.fraction[deposit.landed].sum(dtype=float) * DX**3
+        assert found.distributions[name].volume.sum() == pytest.approx(landed, rel=1e-6, abs=0.0)
     section = particles_of_plane(deposit, 1, 5, 0.15)
     assert not section.boundaries[AIR:].any()
     everywhere = dataclasses.replace(deposit, landed=deposit.fraction > 0.0)
     assert particles_of_plane(everywhere, 1, 5, 0.15).boundaries[AIR:].any()
+    strained = 1.0 + np.random.Generator(np.random.PCG64(2)).random(deposit.peeq.shape)
+    for height, first in (("20 um", GROUND), ("20.2 um", GROUND + 1)):  # a cell that its top crosses is substrate
+        half = dataclasses.replace(made(pathlib.Path("nowhere"), f"domain.substrate_height={height}"), peeq=strained)
+        ridges = particles_of_plane(half, 1, 5, 0.05).boundaries
+        assert not ridges[:first].any()
+        assert ridges[first].any()
 
 
 def test_settings_reach_what_they_set():
@@ -217,6 +236,29 @@ def test_profiles_end_as_mirrors_between_symmetry_sides_only():
     for side, ends in (("x_high", (RENORMALISED, MIRROR)), ("x_low", (RENORMALISED, MIRROR)),
                        ("y_low", (MIRROR, RENORMALISED)), ("y_high", (MIRROR, RENORMALISED))):
         assert filter_ends(made(pathlib.Path("nowhere"), f'domain.faces.{side}="free"')) == ends
+
+
+@pytest.mark.parametrize("along", ["y", "x"])
+def test_roughness_along_the_track_and_across_it_are_not_mixed_up(along):
+    """Waves over x, a free side of x: only profiles along x are rough, and only their ends are renormalised.
+
+    Fails when ``_roughness`` takes profiles of the other axis, or the ends of the other, for one or for both.
+    """
+    wave = 2e-6 * np.sin(2.0 * np.pi * (np.arange(CELLS[0]) + 0.5) / 6.0)
+    deposit = made(pathlib.Path("nowhere"), 'domain.faces.x_high="free"')
+    deposit = dataclasses.replace(deposit, surface=np.tile(80e-6 + wave, (CELLS[1], 1)))
+    found = measure(deposit, dataclasses.replace(SETTINGS, along=along))
+    over_y, over_x = (found.rough_along, found.rough_across)[::1 if along == "y" else -1]
+    assert (over_x.profiles, over_x.length, over_x.ends) == (24, pytest.approx(60e-6), RENORMALISED)
+    assert (over_y.profiles, over_y.length, over_y.ends) == (30, pytest.approx(48e-6), MIRROR)
+    assert over_x.Pq == pytest.approx(2e-6 / np.sqrt(2.0), rel=1e-9)
+    assert 0.9 * over_x.Pq < over_x.Rq == pytest.approx(found.areal.Sq, rel=1e-9)
+    assert over_y.Pq < 1e-15
+    assert found.areal.ends == "renormalised along x, mirror along y"
+    shown, name = values(found), "across" if along == "y" else "along"
+    assert shown[f"Ra_{name}_m"].name.startswith("Ra, 24 profiles along x, 60 µm long")
+    told = [shown[f"{key}_m"].value for key in (f"Ra_{name}", f"Rq_{name}", f"Pa_{name}", f"Pq_{name}", "Sa", "Sq")]
+    assert told == [over_x.Ra, over_x.Rq, over_x.Pa, over_x.Pq, found.areal.Sa, found.areal.Sq]
 
 
 # --- how it is shown ----------------------------------------------------------------------------------------
