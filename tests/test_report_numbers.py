@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from f2s_hpc.analysis.flattening import flattening_from_sizes
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import MIRROR, RENORMALISED
 from f2s_hpc.cli.main import main
@@ -158,13 +159,20 @@ def test_the_help_gives_the_defaults_that_hold(capsys):
 
 
 def test_the_profile_is_moved_onto_the_experiment_if_asked_to():
-    """A scan with another zero; fails when ``align`` does not reach ``overlap``, or the two change places."""
+    """A scan with another zero; fails when ``align`` does not reach ``overlap``, or the two change places.
+
+    Or when the maximum is set off by that of the experiment over it (``top / size.maximum``).
+    """
     deposit = made()
     settings = dataclasses.replace(SETTINGS, symmetric=True)
     profile = measure(deposit, settings).profile
     scan = Profile(profile.x + 40e-6, 0.9 * profile.height)
     apart = measure(deposit, settings, scan).overlap
-    found = measure(deposit, dataclasses.replace(settings, align=True), scan).overlap
+    measured = measure(deposit, dataclasses.replace(settings, align=True), scan)
+    found, shown = measured.overlap, values(measured)
+    assert shown["maximum_off_experiment"].value == pytest.approx(1.0 / 0.9 - 1.0, rel=1e-9)
+    assert shown["experiment_maximum_m"].value == pytest.approx(0.9 * profile.height.max(), rel=1e-9)
+    assert (shown["overlap_over_union"].value, shown["overlap_over_experiment"].value) == pytest.approx((0.9, 1.0))
     assert found.shift == pytest.approx(40e-6, rel=1e-9)
     assert (found.over_union, found.over_second) == pytest.approx((0.9, 1.0), rel=1e-6)
     assert apart.shift == 0.0
@@ -265,7 +273,7 @@ def test_roughness_along_the_track_and_across_it_are_not_mixed_up(along):
 
 
 def test_numbers_are_shown_in_the_unit_beside_them():
-    """Fails when a scale is wrong, degC stay K, or open and closed pores change places."""
+    """Fails when a scale is wrong, degC stay K, open and closed pores or the two equations change places."""
     deposit = made()
     deposit.fraction[GROUND + 4:GROUND + 7, 10:12, 10:12] = 0.0  # one closed pore of 12 cells
     found = measure(deposit, dataclasses.replace(SETTINGS, surface_zone=10e-6))
@@ -281,6 +289,10 @@ def test_numbers_are_shown_in_the_unit_beside_them():
     mean = (TOP - 0.5 * np.arange(CELLS[0]) - GROUND).mean() * DX
     assert shown["height_mean_m"].text() == f"{1e6 * mean:.2f}"
     assert shown["profile_area_m2"].text() == f"{1e12 * mean * 60e-6:.1f}"
+    flat = flattening_from_sizes(np.array([16e-6, 32e-6, 8e-6]), np.array([2e-6, 4e-6, 8e-6]))
+    shown = values(dataclasses.replace(found, flattening=flat))
+    told = [shown[f"flattening_{key}"].value for key in ("equation_5", "equation_6", "width_m", "height_m")]
+    assert told == pytest.approx([17.0 / 3.0, 5.0 / 3.0, 56e-6 / 3.0, 14e-6 / 3.0])
     line = SimpleNamespace(slope=2e4, slope_error=3e3, intercept=1.5)
     shown = values(dataclasses.replace(found, fits=dict.fromkeys(found.fits, line)))
     assert shown["flattening_equation_5_slope_per_m"].text() == "0.0200"
