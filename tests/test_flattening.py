@@ -127,13 +127,13 @@ def test_a_particle_on_the_surface_has_no_clear_boundary():
 def test_the_free_share_of_an_outline_counts_all_four_sides(turns):
     """A particle of 12 x 10 cells with void along one side, 12 or 10 of 44 faces: more than a quarter, or less.
 
-    Fails when ``_free_share`` leaves out one of the four directions.
+    Fails when ``_free_share`` leaves out one of the four directions, or cells less than half full are material.
     """
     for high, wide, measured in ((12, 10, 0), (10, 12, 1)):
         peeq, fraction = np.ones((30, 30)), np.ones((30, 30))
         peeq[8:8 + high, 8:8 + wide] = 5.0
         peeq[9:7 + high, 9:8 + wide] = 0.5
-        fraction[8:8 + high, 8 + wide:] = 0.0
+        fraction[8:8 + high, 8 + wide:] = 0.4
         found = section_particles(np.rot90(peeq, turns), np.rot90(fraction, turns), DX, ground=0, smoothing=0.0)
         assert found.width.size == measured
 
@@ -174,7 +174,7 @@ def test_every_brick_is_found(rng):
 
 
 def test_low_ridges_are_no_boundaries(rng):
-    """Fails when prominence is taken against the deeper basin, or not at all."""
+    """Fails when prominence is taken against the deeper basin, or not at all, or ``PROMINENCE`` is 0.05 or 0.25."""
     peeq, _ = bricks(rng)
     assert basins(peeq, np.ones(peeq.shape, dtype=bool), prominence=0.9).max() == 1
     # a deep basin (0.2) and a shallow one (0.9) beyond a ridge of 1: the ridge hardly rises above the shallow one
@@ -182,6 +182,15 @@ def test_low_ridges_are_no_boundaries(rng):
     section, material = np.tile(row, (12, 1)), np.ones((12, 61), dtype=bool)
     assert basins(section, material, prominence=0.15, smoothing=0.0).max() == 1
     assert basins(section, material, prominence=0.05, smoothing=0.0).max() == 2
+    assert basins(section, material, smoothing=0.0).max() == 1
+    assert basins(np.where(section == 0.9, 0.8, section), material, smoothing=0.0).max() == 2
+
+
+def test_a_line_of_strain_one_cell_wide_is_a_boundary():
+    """Half of it is left where it is. Fails when ``SMOOTHING`` is 2 cells, that leave a fifth."""
+    peeq = np.ones((20, 30))
+    peeq[:, 14] = 1.6
+    assert basins(peeq, np.ones(peeq.shape, dtype=bool)).max() == 2
 
 
 def test_a_basin_of_a_few_cells_is_noise():
