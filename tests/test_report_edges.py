@@ -134,3 +134,13 @@ def test_csv_files_hold_what_their_heads_say(tmp_path, monkeypatch):
         assert list(found_columns) == list(expected)
         for column, numbers in expected.items():
             assert found_columns[column] == pytest.approx(numbers, rel=1e-6, abs=1e-6), (name, column)
+
+
+def test_a_pore_that_reaches_into_the_surface_zone_stays_closed():
+    """Fails when the way out of a pore is told by the top of the bulk and not by the surface."""
+    deposit = made()
+    deposit.fraction[31:37, 10:12, 10:12] = 0.0  # the surface is at 40, the zone is 5 cells thick
+    pores = measure(deposit, dataclasses.replace(SETTINGS, surface_zone=10e-6)).porosity.pores
+    assert pores.open == 0.0
+    assert pores.pores == 1
+    assert 4 * 2 * DX**3 < pores.largest < 4 * 5 * DX**3

@@ -131,6 +131,9 @@ def test_settings_reach_what_they_set():
     odd = dataclasses.replace(deposit, landed=deposit.fraction > 0.0)
     ridges = measure(odd, dataclasses.replace(SETTINGS, prominence=0.05))
     assert ridges.flattening.count > measure(odd, SETTINGS).flattening.count
+    # each equation has its line over what Fig. 17 has it over
+    for equation, over in (("equation_5", ridges.flattening.width), ("equation_6", ridges.flattening.diameter)):
+        assert ridges.fits[equation].centre == pytest.approx(over.mean(), rel=1e-9)
 
 
 def test_layers_are_as_thick_as_whole_cells_and_say_so():
@@ -210,6 +213,7 @@ def test_half_a_track_is_mirrored_unless_told_not_to():
     assert half.size.area == pytest.approx(0.5 * found.size.area, rel=1e-9)
     assert half.overlap.over_union < 0.85
     assert not any("mirrored" in note for note in half.notes)
+    assert measure(deposit, dataclasses.replace(SETTINGS, along="x")).settings.symmetric is False
     assert values(half)["profile_area_m2"].name == "area"
 
 

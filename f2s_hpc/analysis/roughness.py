@@ -33,8 +33,8 @@ class Roughness:
 
     ``cutoff`` and ``length`` (evaluation length); ``Ra``, ``Rq``: mean over all profiles; ``Ra_scatter``,
     ``Rq_scatter``: standard deviation over them; ``Pa``, ``Pq``: the same without filter, about the mean height of each
-    profile, so that a tilt counts; ``profiles``: their number; ``ends``: how the ends were treated; ``standard``: is the evaluation length
-    at least five cutoffs, as ISO 21920 asks?
+    profile, so that a tilt counts; ``profiles``: their number; ``ends``: how the ends were treated; ``standard``: is
+    the evaluation length at least five cutoffs, as ISO 21920 asks?
     """
 
     cutoff: float
