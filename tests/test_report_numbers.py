@@ -195,7 +195,7 @@ def test_the_scene_tells_whether_half_a_track_was_sprayed(name, overrides, along
 def test_half_a_track_is_mirrored_unless_told_not_to():
     """A scan of the whole track, with another zero, over a run of its half: with ``--align`` all of it agrees.
 
-    Fails when ``measure`` takes ``settings.symmetric`` of None for no (then 61 % and -186 um on a real half strip).
+    Fails when ``measure`` takes ``settings.symmetric`` of None for no.
     """
     at_mirror = 'batches.spheres=[["0 um", "20 um", "20 um", "10 um"]]'
     deposit = made(pathlib.Path("nowhere"), at_mirror)
