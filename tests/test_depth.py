@@ -42,6 +42,7 @@ def test_a_linear_field_across_weighs_by_volume():
     weight = np.broadcast_to(np.where(x < 0.5, 1.0, 0.5), field.shape)
     found = depth_distribution(field, weight, DX, 0.0, layer=10e-6)
     assert found.median[0] == pytest.approx(0.375, abs=1e-3)
+    assert found.mean[0] == pytest.approx((0.5 * 0.25 + 0.25 * 0.75) / 0.75, rel=1e-6)
     assert found.percentiles[0, 1] == pytest.approx(0.1875, abs=1e-3)
     assert found.percentiles[0, 3] == pytest.approx(0.625, abs=1e-3)
 

@@ -73,6 +73,13 @@ def test_feed_numbers_against_the_closed_form_and_table_4():
     assert feed.share * feed.path == pytest.approx(0.3 * MM / 2, rel=0.003)  # the mass balance of a half strip
 
 
+def test_round_off_takes_no_further_batch():
+    """What makes whole batches to round-off is as many. Fails when ``count_particles`` rounds up as it is."""
+    for batches in range(1, 200):
+        volume = 7e-4 * 0.02 * 7.3 * MM / (0.16 * 8960.0 * 2559 * batches)
+        assert count_particles(Feed(7e-4, 0.02, 7.3 * MM, 8960.0, volume), 0.16).whole_batches == batches
+
+
 @pytest.mark.mpi
 def test_feed_prints_the_law_beside_table_4(capsys, shared_path):
     assert main(["feed", "--json", str(shared_path / "feed.json")]) == 0

@@ -87,10 +87,31 @@ def test_points_of_a_scan_count_by_their_distance():
     assert abs(found.shift) < 0.1e-6
 
 
+@pytest.mark.parametrize("height", [2e-6, -2e-6])
+def test_a_scan_that_shows_more_of_the_substrate_on_one_side_is_aligned(height, rng):
+    """A track of 2 mm in the middle of a scan from -2 to 6 mm, whose zero is 2 um off, with noise of 2 um.
+
+    Fails when ``_centroid`` takes all that is above zero: the track would be moved by 0.2 mm, which costs a fifth of
+    the overlap.
+    """
+    track = triangle(0.0, 1e-3, 100e-6, reach=1.5e-3)
+    x = np.arange(-2e-3, 6e-3, 10e-6)
+    scan = np.interp(x, track.x, track.height) + height + 2e-6 * rng.standard_normal(x.size)
+    found = overlap(track, Profile(x + 0.3e-3, scan), align=True)
+    assert found.shift == pytest.approx(0.3e-3, abs=10e-6)
+    assert found.over_union > 0.93
+
+
 def test_half_a_track_is_mirrored():
     whole = mirrored(Profile(np.array([1.0, 3.0]), np.array([7.0, 5.0])))
     assert whole.x.tolist() == [-3.0, -1.0, 1.0, 3.0]
     assert whole.height.tolist() == [5.0, 7.0, 7.0, 5.0]
+
+
+def test_the_width_ends_where_the_profile_crosses_the_level_between_its_points():
+    """The level is 5 um: half way on the left, three quarters on the right. Fails when an end is that of a point."""
+    size = profile_size(Profile(np.arange(5.0) * 10e-6, np.array([1.0, 9.0, 100.0, 20.0, 0.0]) * 1e-6))
+    assert size.width == pytest.approx(37.5e-6 - 5e-6, rel=1e-9)
 
 
 def test_profiles_without_anything_in_common_are_refused():

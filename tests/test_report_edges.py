@@ -1,21 +1,22 @@
-"""Analyses at their edges: nothing landed, round-off, moved profiles, coarse cells, PEEQ of zero."""
+"""Analyses at their edges: nothing landed, round-off, moved profiles, coarse cells, PEEQ of zero; their CSV files."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import pathlib
 import re
 
 import numpy as np
 import pytest
-from test_report_numbers import DX, GROUND, SCENE, SETTINGS, made
+from test_report_numbers import CELLS, DX, GROUND, SCENE, SETTINGS, made
 
 from f2s_hpc.analysis.boundaries import basins
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.config import parse_scene
 from f2s_hpc.errors import InputError
 from f2s_hpc.report import facts
-from f2s_hpc.report.commands import compare_measurements
+from f2s_hpc.report.commands import analyse, compare_measurements
 from f2s_hpc.report.draw import draw_all
 from f2s_hpc.report.measure import Settings, measure
 from f2s_hpc.report.quantities import Quantity, percent
@@ -97,3 +98,49 @@ def test_basins_of_no_peeq_are_one_particle_each():
     distance = np.hypot(x, y)
     peeq = np.where((distance > 10.0) & (distance < 13.0), 2.0, 0.0)
     assert basins(peeq, np.full(peeq.shape, True), smoothing=0.0).max() == 2
+
+
+def test_csv_files_hold_what_their_heads_say(tmp_path, monkeypatch):
+    """Fails when x and y of the height map change places, its heights count from the bottom of the box, a column has
+    another unit, or one is that of its neighbour.
+    """
+    deposit = dataclasses.replace(made(), peeq=1.0 + np.random.Generator(np.random.PCG64(2)).random(CELLS[::-1]))
+    monkeypatch.setattr("f2s_hpc.report.commands.load_deposit", lambda folder, cycle: deposit)
+    monkeypatch.setattr("f2s_hpc.report.commands.draw_all", lambda folder, runs: {})
+    settings = dataclasses.replace(SETTINGS, prominence=0.05)
+    assert analyse("nowhere", settings, out=str(tmp_path), handover=False) == 0
+    found = measure(deposit, settings)
+
+    def columns(name: str) -> dict[str, np.ndarray]:
+        with (tmp_path / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file)
+        return dict(zip(head, np.array(rows, dtype=float).T, strict=True))
+
+    j, i = np.indices(deposit.surface.shape)
+    flat, layers = found.flattening, found.distributions["temperature"]
+    assert flat.count > 0
+    wanted = {
+        "profile": {"x_um": 1e6 * found.profile.x, "height_um": 1e6 * found.profile.height},
+        "height-map": {"x_um": 2.0 * i.ravel() + 1.0, "y_um": 2.0 * j.ravel() + 1.0,
+                       "height_um": 1e6 * deposit.surface.ravel() - 20.0},
+        "flattening": {"width_um": 1e6 * flat.width, "height_um": 1e6 * flat.height, "equation_5": flat.equation_5,
+                       "diameter_um": 1e6 * flat.diameter, "equation_6": flat.equation_6},
+        "temperature-by-height": {
+            "low_um": 1e6 * layers.low, "high_um": 1e6 * layers.high, "volume_um3": 1e18 * layers.volume,
+            "mean_K": layers.mean, **{f"p{n}_K": p for n, p in zip(("05", "25", "50", "75", "95"),
+                                                                    layers.percentiles.T)}}}
+    for name, expected in wanted.items():
+        found_columns = columns(name)
+        assert list(found_columns) == list(expected)
+        for column, numbers in expected.items():
+            assert found_columns[column] == pytest.approx(numbers, rel=1e-6, abs=1e-6), (name, column)
+
+
+def test_a_pore_that_reaches_into_the_surface_zone_stays_closed():
+    """Fails when the way out of a pore is told by the top of the bulk and not by the surface."""
+    deposit = made()
+    deposit.fraction[31:37, 10:12, 10:12] = 0.0  # the surface is at 40, the zone is 5 cells thick
+    pores = measure(deposit, dataclasses.replace(SETTINGS, surface_zone=10e-6)).porosity.pores
+    assert pores.open == 0.0
+    assert pores.pores == 1
+    assert 4 * 2 * DX**3 < pores.largest < 4 * 5 * DX**3

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from f2s_hpc.analysis.flattening import flattening_from_sizes
 from f2s_hpc.analysis.profile import Profile
 from f2s_hpc.analysis.roughness import MIRROR, RENORMALISED
 from f2s_hpc.cli.main import main
@@ -30,6 +31,7 @@ from f2s_hpc.report.measure import (
     measure,
     median_diameter,
     particles_of_plane,
+    section_planes,
 )
 from f2s_hpc.report.page import build_page
 from f2s_hpc.report.quantities import depth_tables, quantities
@@ -86,17 +88,35 @@ def test_the_median_particle_is_that_of_the_volume_and_half_of_it_is_the_surface
     assert measure(deposit, dataclasses.replace(SETTINGS, surface_zone=11e-6)).porosity.zone == 11e-6
 
 
+def test_sections_are_a_median_diameter_apart():
+    """A box of 30 x 24 cells, particles of 5.95 cells.
+
+    Fails when planes lie closer, so that a particle counts twice, or the first at a side of the box.
+    """
+    even = Batch(*(np.full(4, 3e-5) for _ in range(3)), np.full(4, 5.95e-6))
+    planes = section_planes(dataclasses.replace(made(), batches=[even]))
+    assert planes == [(1, 3), (1, 9), (1, 15), (1, 21), (2, 3), (2, 9), (2, 15), (2, 21), (2, 27)]
+
+
 def test_what_flies_is_no_part_of_the_deposit():
-    """Fails when distributions or sections take all material, or the substrate passes for the deposit."""
+    """Fails when distributions or sections take all material, cells count as full, or the substrate is deposit."""
     deposit = made()
     found = measure(deposit, SETTINGS)
     for name, value in (("peeq", 2.0), ("temperature", 473.15), ("von_mises", 2e8)):
         assert deposit_percentiles(found, name) == pytest.approx(np.full(5, value), rel=1e-5)
         assert found.distributions[name].high[-1] <= (TOP - GROUND) * DX + 5e-6
+        landed = deposit.fraction[deposit.landed].sum(dtype=float) * DX**3
+        assert found.distributions[name].volume.sum() == pytest.approx(landed, rel=1e-6, abs=0.0)
     section = particles_of_plane(deposit, 1, 5, 0.15)
     assert not section.boundaries[AIR:].any()
     everywhere = dataclasses.replace(deposit, landed=deposit.fraction > 0.0)
     assert particles_of_plane(everywhere, 1, 5, 0.15).boundaries[AIR:].any()
+    strained = 1.0 + np.random.Generator(np.random.PCG64(2)).random(deposit.peeq.shape)
+    for height, first in (("20 um", GROUND), ("20.2 um", GROUND + 1)):  # a cell that its top crosses is substrate
+        half = dataclasses.replace(made(pathlib.Path("nowhere"), f"domain.substrate_height={height}"), peeq=strained)
+        ridges = particles_of_plane(half, 1, 5, 0.05).boundaries
+        assert not ridges[:first].any()
+        assert ridges[first].any()
 
 
 def test_settings_reach_what_they_set():
@@ -111,6 +131,9 @@ def test_settings_reach_what_they_set():
     odd = dataclasses.replace(deposit, landed=deposit.fraction > 0.0)
     ridges = measure(odd, dataclasses.replace(SETTINGS, prominence=0.05))
     assert ridges.flattening.count > measure(odd, SETTINGS).flattening.count
+    # each equation has its line over what Fig. 17 has it over
+    for equation, over in (("equation_5", ridges.flattening.width), ("equation_6", ridges.flattening.diameter)):
+        assert ridges.fits[equation].centre == pytest.approx(over.mean(), rel=1e-9)
 
 
 def test_layers_are_as_thick_as_whole_cells_and_say_so():
@@ -139,13 +162,20 @@ def test_the_help_gives_the_defaults_that_hold(capsys):
 
 
 def test_the_profile_is_moved_onto_the_experiment_if_asked_to():
-    """A scan with another zero; fails when ``align`` does not reach ``overlap``, or the two change places."""
+    """A scan with another zero; fails when ``align`` does not reach ``overlap``, or the two change places.
+
+    Or when the maximum is set off by that of the experiment over it (``top / size.maximum``).
+    """
     deposit = made()
     settings = dataclasses.replace(SETTINGS, symmetric=True)
     profile = measure(deposit, settings).profile
     scan = Profile(profile.x + 40e-6, 0.9 * profile.height)
     apart = measure(deposit, settings, scan).overlap
-    found = measure(deposit, dataclasses.replace(settings, align=True), scan).overlap
+    measured = measure(deposit, dataclasses.replace(settings, align=True), scan)
+    found, shown = measured.overlap, values(measured)
+    assert shown["maximum_off_experiment"].value == pytest.approx(1.0 / 0.9 - 1.0, rel=1e-9)
+    assert shown["experiment_maximum_m"].value == pytest.approx(0.9 * profile.height.max(), rel=1e-9)
+    assert (shown["overlap_over_union"].value, shown["overlap_over_experiment"].value) == pytest.approx((0.9, 1.0))
     assert found.shift == pytest.approx(40e-6, rel=1e-9)
     assert (found.over_union, found.over_second) == pytest.approx((0.9, 1.0), rel=1e-6)
     assert apart.shift == 0.0
@@ -165,7 +195,7 @@ def test_the_scene_tells_whether_half_a_track_was_sprayed(name, overrides, along
 def test_half_a_track_is_mirrored_unless_told_not_to():
     """A scan of the whole track, with another zero, over a run of its half: with ``--align`` all of it agrees.
 
-    Fails when ``measure`` takes ``settings.symmetric`` of None for no (then 61 % and -186 um on a real half strip).
+    Fails when ``measure`` takes ``settings.symmetric`` of None for no.
     """
     at_mirror = 'batches.spheres=[["0 um", "20 um", "20 um", "10 um"]]'
     deposit = made(pathlib.Path("nowhere"), at_mirror)
@@ -183,6 +213,7 @@ def test_half_a_track_is_mirrored_unless_told_not_to():
     assert half.size.area == pytest.approx(0.5 * found.size.area, rel=1e-9)
     assert half.overlap.over_union < 0.85
     assert not any("mirrored" in note for note in half.notes)
+    assert measure(deposit, dataclasses.replace(SETTINGS, along="x")).settings.symmetric is False
     assert values(half)["profile_area_m2"].name == "area"
 
 
@@ -219,11 +250,34 @@ def test_profiles_end_as_mirrors_between_symmetry_sides_only():
         assert filter_ends(made(pathlib.Path("nowhere"), f'domain.faces.{side}="free"')) == ends
 
 
+@pytest.mark.parametrize("along", ["y", "x"])
+def test_roughness_along_the_track_and_across_it_are_not_mixed_up(along):
+    """Waves over x, a free side of x: only profiles along x are rough, and only their ends are renormalised.
+
+    Fails when ``_roughness`` takes profiles of the other axis, or the ends of the other, for one or for both.
+    """
+    wave = 2e-6 * np.sin(2.0 * np.pi * (np.arange(CELLS[0]) + 0.5) / 6.0)
+    deposit = made(pathlib.Path("nowhere"), 'domain.faces.x_high="free"')
+    deposit = dataclasses.replace(deposit, surface=np.tile(80e-6 + wave, (CELLS[1], 1)))
+    found = measure(deposit, dataclasses.replace(SETTINGS, along=along))
+    over_y, over_x = (found.rough_along, found.rough_across)[::1 if along == "y" else -1]
+    assert (over_x.profiles, over_x.length, over_x.ends) == (24, pytest.approx(60e-6), RENORMALISED)
+    assert (over_y.profiles, over_y.length, over_y.ends) == (30, pytest.approx(48e-6), MIRROR)
+    assert over_x.Pq == pytest.approx(2e-6 / np.sqrt(2.0), rel=1e-9)
+    assert 0.9 * over_x.Pq < over_x.Rq == pytest.approx(found.areal.Sq, rel=1e-9)
+    assert over_y.Pq < 1e-15
+    assert found.areal.ends == "renormalised along x, mirror along y"
+    shown, name = values(found), "across" if along == "y" else "along"
+    assert shown[f"Ra_{name}_m"].name.startswith("Ra, 24 profiles along x, 60 µm long")
+    told = [shown[f"{key}_m"].value for key in (f"Ra_{name}", f"Rq_{name}", f"Pa_{name}", f"Pq_{name}", "Sa", "Sq")]
+    assert told == [over_x.Ra, over_x.Rq, over_x.Pa, over_x.Pq, found.areal.Sa, found.areal.Sq]
+
+
 # --- how it is shown ----------------------------------------------------------------------------------------
 
 
 def test_numbers_are_shown_in_the_unit_beside_them():
-    """Fails when a scale is wrong, degC stay K, or open and closed pores change places."""
+    """Fails when a scale is wrong, degC stay K, open and closed pores or the two equations change places."""
     deposit = made()
     deposit.fraction[GROUND + 4:GROUND + 7, 10:12, 10:12] = 0.0  # one closed pore of 12 cells
     found = measure(deposit, dataclasses.replace(SETTINGS, surface_zone=10e-6))
@@ -239,6 +293,10 @@ def test_numbers_are_shown_in_the_unit_beside_them():
     mean = (TOP - 0.5 * np.arange(CELLS[0]) - GROUND).mean() * DX
     assert shown["height_mean_m"].text() == f"{1e6 * mean:.2f}"
     assert shown["profile_area_m2"].text() == f"{1e12 * mean * 60e-6:.1f}"
+    flat = flattening_from_sizes(np.array([16e-6, 32e-6, 8e-6]), np.array([2e-6, 4e-6, 8e-6]))
+    shown = values(dataclasses.replace(found, flattening=flat))
+    told = [shown[f"flattening_{key}"].value for key in ("equation_5", "equation_6", "width_m", "height_m")]
+    assert told == pytest.approx([17.0 / 3.0, 5.0 / 3.0, 56e-6 / 3.0, 14e-6 / 3.0])
     line = SimpleNamespace(slope=2e4, slope_error=3e3, intercept=1.5)
     shown = values(dataclasses.replace(found, fits=dict.fromkeys(found.fits, line)))
     assert shown["flattening_equation_5_slope_per_m"].text() == "0.0200"

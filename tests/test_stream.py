@@ -179,6 +179,15 @@ def test_the_zero_of_the_measuring_device_does_not_matter():
     assert fit.lateral_mean_error == pytest.approx(drift.std(ddof=1) / math.sqrt(drift.size), rel=1e-12)
 
 
+def test_the_mixing_of_place_and_size_is_that_of_the_squared_distance():
+    """Large particles at the edge. Fails when ``fit_stream`` takes the distance: on both sides that makes nothing."""
+    sample = read_measurement("synthetic")
+    distance = sample.lateral_position - fit_stream(sample).number.centre
+    assert abs(fit_stream(sample).mixing) < 0.05
+    sorted_out = dataclasses.replace(sample, diameter=20 * UM + 4.0 * distance**2)
+    assert fit_stream(sorted_out).mixing == pytest.approx(1.0, abs=1e-9)
+
+
 def test_counts_that_scatter_more_than_chance_widen_errors_and_bands():
     """Every particle four times: the same curve, a dispersion of four times as much, and bands by Student's t.
 

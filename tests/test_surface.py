@@ -58,11 +58,11 @@ def test_columns_are_independent_and_the_map_is_y_by_x():
 
 
 def test_dense_height_is_volume_over_area():
-    """Fails when pores are counted as material, or the substrate is not taken off."""
-    fraction = np.zeros((10, 2, 2), dtype=np.float32)
+    """Fails when pores are counted as material, the substrate is not taken off, or the area is that of a square."""
+    fraction = np.zeros((10, 2, 3), dtype=np.float32)
     fraction[:3] = 1.0
     fraction[5, 0, 0], fraction[6, 1, 1] = 1.0, 0.5
-    assert dense_height(fraction, DX, 3 * DX) == pytest.approx(1.5 / 4 * DX, rel=1e-12, abs=0.0)
+    assert dense_height(fraction, DX, 3 * DX) == pytest.approx(1.5 / 6 * DX, rel=1e-12, abs=0.0)
     assert dense_height(fraction[:2], DX, 3 * DX) == pytest.approx(-DX)
 
 
@@ -86,6 +86,18 @@ def test_a_fragment_in_the_air_is_not_attached():
     assert height[1, 3] == pytest.approx(3 * DX)
     assert height[1, 1] == pytest.approx(3.3 * DX)
     assert not attached_material(np.zeros((2, 2, 2)), np.ones((2, 2, 2), dtype=bool)).any()
+
+
+def test_slow_thin_cells_on_all_sides_of_a_firm_one_are_attached():
+    """A firm cell on a stalk, thin ones all around. Fails when ``with_skin`` misses a side, or takes fast cells."""
+    fraction, slow = np.zeros((7, 5, 5)), np.ones((7, 5, 5), dtype=bool)
+    fraction[2:5, 1:4, 1:4], fraction[5:] = 0.3, 0.2
+    fraction[:4, 2, 2] = 1.0
+    found = attached_material(fraction, slow)
+    assert found[2:5, 1:4, 1:4].all()
+    assert not found[5:].any()
+    slow[4, 1:3, 1:3] = False
+    assert np.array_equal(attached_material(fraction, slow), found & slow)
 
 
 @pytest.mark.parametrize("at_once", [1, 40, 100, 2**22])

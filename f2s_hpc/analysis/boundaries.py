@@ -32,14 +32,13 @@ class SectionParticles:
     """The particles of a section that can be measured, lengths in m.
 
     ``labels``: (up, along), 0 where there is no measured particle, else 1 to p; ``width``, ``height``: their
-    horizontal and vertical extent, (p,); ``clearness``: how far PEEQ along the boundary exceeds that inside, as a
-    share of it, (p,); ``boundaries``: bool, (up, along), ridges between any two basins of the deposit.
+    horizontal and vertical extent, (p,); ``boundaries``: bool, (up, along), ridges between any two basins of the
+    deposit.
     """
 
     labels: np.ndarray
     width: np.ndarray
     height: np.ndarray
-    clearness: np.ndarray
     boundaries: np.ndarray
 
 
@@ -157,8 +156,7 @@ def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground:
     boundaries[:ground] = False
     edge = np.unique(np.concatenate([found[0], found[-1], found[:, 0], found[:, -1]]))
     labels = np.zeros(found.shape, dtype=int)
-    widths, tall, clear = [], [], []
-    smooth, free = _smoothed(peeq, material, smoothing), _free_share(found)
+    widths, tall, free = [], [], _free_share(found)
     for label, place in enumerate(ndimage.find_objects(found), start=1):
         if place is None or label in edge:
             continue
@@ -169,7 +167,4 @@ def section_particles(peeq: np.ndarray, fraction: np.ndarray, dx: float, ground:
         tall.append((place[0].stop - place[0].start) * dx)
         widths.append((place[1].stop - place[1].start) * dx)
         labels[place][own] = len(widths)
-        rim = own & ~ndimage.binary_erosion(own)
-        core = float(np.percentile(smooth[place][own], 10.0))
-        clear.append(float(smooth[place][rim].mean()) / core - 1.0 if core > 0.0 else np.inf)
-    return SectionParticles(labels, np.array(widths), np.array(tall), np.array(clear), boundaries)
+    return SectionParticles(labels, np.array(widths), np.array(tall), boundaries)

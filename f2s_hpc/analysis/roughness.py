@@ -32,9 +32,9 @@ class Roughness:
     """Roughness with all that it depends on, lengths in m.
 
     ``cutoff`` and ``length`` (evaluation length); ``Ra``, ``Rq``: mean over all profiles; ``Ra_scatter``,
-    ``Rq_scatter``: standard deviation over them; ``Pa``, ``Pq``: the same without filter, about the mean line of each
-    profile; ``profiles``: their number; ``ends``: how the ends were treated; ``standard``: is the evaluation length
-    at least five cutoffs, as ISO 21920 asks?
+    ``Rq_scatter``: standard deviation over them; ``Pa``, ``Pq``: the same without filter, about the mean height of each
+    profile, so that a tilt counts; ``profiles``: their number; ``ends``: how the ends were treated; ``standard``: is
+    the evaluation length at least five cutoffs, as ISO 21920 asks?
     """
 
     cutoff: float

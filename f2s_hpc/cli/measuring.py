@@ -52,7 +52,9 @@ def _run_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--experiment", metavar="CSV",
                      help="a measured profile to overlap with; first line x_mm,height_mm or x_um,height_um; only the x "
                           "that both cover count, and what share of the widths that is stands beside the overlap")
-    sub.add_argument("--align", action="store_true", help="move the simulated profile onto the experiment's centroid")
+    sub.add_argument("--align", action="store_true",
+                     help="move the simulated profile onto the experiment: by the centroids of what stands above a "
+                          "quarter of the maximum of each")
     sub.add_argument("--no-handover", action="store_true",
                      help="skip the check that a new batch changes nothing else (it takes the memory of a run)")
     _settings_arguments(sub)

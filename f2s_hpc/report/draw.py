@@ -95,7 +95,7 @@ def _boundaries(path: pathlib.Path, found: Measurements, frame: section_figures.
     axis = 1 if section.axis == "x" else 2
     whole = particles_of_plane(deposit, axis, section.index, found.settings.prominence)
     cut = (section.up, section.along)
-    shown = type(whole)(whole.labels[cut], whole.width, whole.height, whole.clearness, whole.boundaries[cut])
+    shown = type(whole)(whole.labels[cut], whole.width, whole.height, whole.boundaries[cut])
     section_figures.particle_boundaries(path, fraction, section.cut(deposit.peeq), shown, frame)
 
 

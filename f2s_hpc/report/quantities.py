@@ -198,7 +198,7 @@ def _traced(found: Measurements) -> list[Quantity]:
             count("outside", f"{_INDENT}of them outside of the box", traced.outside),
             ratio("equation_5", "mean of W/H, Eq. (5)", five), ratio("equation_6", "mean of W/D, Eq. (6)", six),
             ratio("exact_6", "mean of W over the diameter before impact", _mean(flat.exact_6)),
-            ratio("bulk", "mean of D over the diameter before impact; 1 for ellipsoids, more for bent shapes",
+            ratio("bulk", "mean of D over the diameter before impact; 1 for upright spheroids, more for all else",
                   _mean(flat.diameter / flat.true_diameter)),
             _length(group, "tracer_width", "mean width W", _mean(flat.width)),
             _length(group, "tracer_height", "mean height H", _mean(flat.height))]
