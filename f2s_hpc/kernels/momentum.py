@@ -89,11 +89,15 @@ def wall_energy(runs, count, window, shape, weights, mass, u, v, w, quantum, dx,
 
 
 @inlined
-def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
+def _accelerate_row(dt, uneven, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
                     quantum, sums):
-    """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say."""
+    """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say.
+
+    Leaves in ``fx`` the energy (J) that the kick took without counterpart, of whole nodes.
+    """
     hold_u, hold_v, hold_w = holds
     kinetic_before, kinetic_after, worked, withheld = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    alone = np.int64(0)
     for i in range(u.size):
         m = full * nodal[i]
         moves = 1.0 if m > 0.0 else 0.0
@@ -120,26 +124,38 @@ def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free
         kinetic_after += np.int64(after * quantum)
         worked += np.int64(work * quantum)
         withheld += np.int64((work - (after - before)) * quantum)
+        taken = 0.25 * uneven * (fx[i] * (u1 - u0) + fy[i] * (v1 - v0) + fz[i] * (w1 - w0))
+        alone += np.int64(taken * share * quantum)
+        fx[i] = taken
     sums[0] += kinetic_before
     sums[1] += kinetic_after
     sums[2] += worked
     sums[3] += withheld
+    sums[4] += alone
 
 
 @kernel
-def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free, nodal, fx, fy, fz, u, v, w,
-               quantum, sums):
+def accelerate(runs, count, window, shape, dt, uneven, dx, density, floor, weights, free, nodal, fx, fy, fz, u, v, w,
+               lost, quantum, sums):
     """Advance the owned nodes by one kick, v += dt F / m, and hold the walls.
+
+    A kick from the middle of a step to that of the next works with the mean of both velocities, and cells receive what
+    the forces do with the velocity of each step over its half. Where one step is longer by ``uneven`` (s) than the one
+    before, the cells receive F . dv ``uneven`` / 4 more than nodes give: for the half kicks around a remap, which has
+    no step on its other side, dt^2 F^2 / 8m, of which the remap changes F. Node by node that is entered into ``lost``
+    (half full nodes (m/s)^2), unless that is an array of one number.
 
     ``floor``: least mass (in full nodes) that divides the force; where that is more than the node has, a force against
     its motion is divided by less, down to its mass, until it has taken all motion along it.
     ``free``: per axis and component, 1 where a node plane may move in that component, 0 where the wall holds it, as
     free[axis][component].
-    ``sums`` int64[4], in units of ``quantum`` (J): kinetic energy before and after, work of the
-    forces, and the part of that work that the mass floor withheld.
+    ``sums`` int64[5], in units of ``quantum`` (J): kinetic energy before and after, work of the
+    forces, the part of that work that the mass floor withheld, and what uneven steps took.
     """
     ny, nx = shape
     full, per_quantum = density * dx * dx * dx, 1.0 / quantum
+    keeps, scale = lost.size > 1, 2.0 / full
+    lost = borrowed(lost)
     nodal, fx, fy, fz, u, v, w = (borrowed(nodal), borrowed(fx), borrowed(fy), borrowed(fz), borrowed(u), borrowed(v),
                                   borrowed(w))
     for r in range(count):
@@ -152,9 +168,12 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
         a = (k * (ny + 1) + j) * (nx + 1) + first
         b = a + last - first
         holds = (free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k], free[1, 2, j] * free[2, 2, k])
-        _accelerate_row(dt, full, floor, weights[2][k] * weights[1][j], weights[0][first:last], holds,
+        _accelerate_row(dt, uneven, full, floor, weights[2][k] * weights[1][j], weights[0][first:last], holds,
                         free[0, 0, first:last], free[0, 1, first:last], free[0, 2, first:last], nodal[a:b], fx[a:b],
                         fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], per_quantum, sums)
+        if keeps:
+            for n in range(a, b):
+                lost[n] += scale * fx[n]
 
 
 @inlined

@@ -58,18 +58,24 @@ remap, the divergence of the velocity."""
 
 
 @phase("nodes")
-def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
-    """Accelerate the owned nodes over ``dt`` and hold the walls; ghosts of velocity are not valid after."""
+def kick(state: State, model: Model, before: float, after: float, ledger: Ledger) -> None:
+    """Accelerate the owned nodes and hold the walls; ghosts of velocity are not valid after.
+
+    Over half of the step ``before`` (s) and half of the one ``after``; none of them beside a remap.
+    """
     runs, count = state.runs
-    sums = np.zeros(4, dtype=np.int64)
+    dt = 0.5 * (before + after)
+    sums = np.zeros(5, dtype=np.int64)
     boundary = state.boundary
     absorbing.apply_traction(state, model, dt, ledger)
     momentum.accelerate(
-        runs, count, state.node_window(), state.part.cell_shape[1:], dt, model.dx, model.bulk.density,
+        runs, count, state.node_window(), state.part.cell_shape[1:], dt, after - before, model.dx, model.bulk.density,
         model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],
-        *state.force, *state.velocity, model.energy_quantum, sums)
-    for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld"), sums):
+        *state.force, *state.velocity, state.lost, model.energy_quantum, sums)
+    for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld", "half_kicks"), sums):
         ledger.add(name, value)
+    if state.lost.size > 1:
+        ledger.add("half_kicks_kept", sums[4])
 
 
 @phase("forces")
@@ -91,7 +97,7 @@ def second_half(state: State, model: Model, dt: float, displaced: bool, ledger: 
     power = np.zeros(1, dtype=np.int64)
     _add_forces(state, model, dt, True, moved, power)
     ledger.add_power("hourglass_power", power[0], 0.5 * dt)
-    kick(state, model, 0.5 * dt, ledger)
+    kick(state, model, dt, 0.0, ledger)
 
 
 @phase("nodes")
@@ -134,16 +140,15 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     s = model.settings
-    sums = np.zeros(7, dtype=np.int64)
+    sums = np.zeros(8, dtype=np.int64)
     full = state.cell_window((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
     # (before the first step there is no displacement, nor memory for one where each step is remapped)
     deformed.sweep_faces(runs, count, full, shape, displaced, dt / model.dx, *state.velocity,
                          *(state.displacement if displaced else state.velocity), *state.sweep,
                          state.flat[VOLUME_FLUX])
-    # a kick from half step to half step works with the mean of both velocities, one of half a step beside a remap with
-    # the new one, and second_half, which has this step's viscous pressure again, too. Hourglass control has another
-    # power there, but heat of the first is near enough
-    times = (0.5 * dt if displaced else 0.0, dt if last else 0.5 * dt,
+    # the viscous pressure works over the half step before, none beside a remap, over the one after, and in second_half.
+    # Hourglass control has another power there, but heat of the first is near enough
+    times = (0.5 * dt if displaced else 0.0, 0.5 * dt, 1.0 if last else 0.0,
              (0.5 * dt if kicked is None else kicked) + (0.5 * dt if last else 0.0))
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, times, model.dx, s.largest_strain, model.bulk, model.eos,
@@ -153,8 +158,7 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
         *(state.flat[n] for n in TO_HEAT[:2]), state.flat["dual_flux"], state.flat["mass_flux"],
         model.energy_quantum, sums)
     for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned",
-                            "compression"),
-                           sums):
+                            "closing", "compression"), sums):
         ledger.add(name, value)
     return gradient, where
 
