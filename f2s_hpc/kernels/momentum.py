@@ -90,11 +90,8 @@ def wall_energy(runs, count, window, shape, weights, mass, u, v, w, quantum, dx,
 
 @inlined
 def _accelerate_row(dt, uneven, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
-                    quantum, sums):
-    """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say.
-
-    Leaves in ``fx`` the energy (J) that the kick took without counterpart, of whole nodes.
-    """
+                    lost, quantum, sums):
+    """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say."""
     hold_u, hold_v, hold_w = holds
     kinetic_before, kinetic_after, worked, withheld = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     alone = np.int64(0)
@@ -126,7 +123,7 @@ def _accelerate_row(dt, uneven, full, floor, plane, weights, holds, free_u, free
         withheld += np.int64((work - (after - before)) * quantum)
         taken = 0.25 * uneven * (fx[i] * (u1 - u0) + fy[i] * (v1 - v0) + fz[i] * (w1 - w0))
         alone += np.int64(taken * share * quantum)
-        fx[i] = taken
+        lost[i] += 2.0 / full * taken
     sums[0] += kinetic_before
     sums[1] += kinetic_after
     sums[2] += worked
@@ -154,7 +151,7 @@ def accelerate(runs, count, window, shape, dt, uneven, dx, density, floor, weigh
     """
     ny, nx = shape
     full, per_quantum = density * dx * dx * dx, 1.0 / quantum
-    keeps, scale = lost.size > 1, 2.0 / full
+    keeps, unkept = lost.size > 1, np.zeros(nx + 1)
     lost = borrowed(lost)
     nodal, fx, fy, fz, u, v, w = (borrowed(nodal), borrowed(fx), borrowed(fy), borrowed(fz), borrowed(u), borrowed(v),
                                   borrowed(w))
@@ -170,10 +167,8 @@ def accelerate(runs, count, window, shape, dt, uneven, dx, density, floor, weigh
         holds = (free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k], free[1, 2, j] * free[2, 2, k])
         _accelerate_row(dt, uneven, full, floor, weights[2][k] * weights[1][j], weights[0][first:last], holds,
                         free[0, 0, first:last], free[0, 1, first:last], free[0, 2, first:last], nodal[a:b], fx[a:b],
-                        fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], per_quantum, sums)
-        if keeps:
-            for n in range(a, b):
-                lost[n] += scale * fx[n]
+                        fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], lost[a:b] if keeps else unkept[:b - a], per_quantum,
+                        sums)
 
 
 @inlined
@@ -200,15 +195,18 @@ def mark_fast_rows(runs, count, shape, fast, u, v, w, rows):
 
 
 @kernel
-def exchange_light(runs, count, window, shape, strength, limit, fast, rows, nodal, u, v, w, du, dv, dw, lost):
-    """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
+def exchange_light(runs, count, window, shape, dt, full, strength, limit, fast, rows, weights, free, nodal, u, v, w,
+                   du, dv, dw, lost, quantum, sums):
+    """Write into du, dv, dw, which hold the forces of the kick before, the velocity change (m/s) of the exchange.
 
     A pair of neighbours along an axis shares momentum: along that axis if both are lighter than ``limit`` full nodes
     (with ``strength``), in every direction if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH). The pair's
     lighter mass times the strength times the velocity difference passes from one to the other, so the
     pair keeps its momentum and no pair overshoots (strength < 1/6); and what passes along the axis alone leaves a
     body's turning as it is. Adds to ``lost`` each node's half of the kinetic energy that its pairs lose (half full
-    nodes (m/s)^2), unless that is an array of one number.
+    nodes (m/s)^2), unless that is an array of one number. So for what those forces do with the change over the half of
+    the step ``dt`` (s) that comes: cells receive it, though no kick gave it. Its sum goes into ``sums`` int64[1], in
+    units of ``quantum`` (J); ``full``: mass of a full node (kg); ``weights``, ``free``: as in :func:`accelerate`.
     ``rows``: which rows hold a node beyond ``fast`` (:func:`mark_fast_rows`); elsewhere only light nodes are looked at.
     """
     ny, nx = shape
@@ -222,15 +220,12 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, rows, noda
             continue
         row = (k * (ny + 1) + j) * (nx + 1)
         everywhere = rows[k, j] | rows[k - 1, j] | rows[k + 1, j] | rows[k, j - 1] | rows[k, j + 1]
-        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        if last <= first:
-            continue
-        du[row + first:row + last] = 0.0
-        dv[row + first:row + last] = 0.0
-        dw[row + first:row + last] = 0.0
-        for i in range(first, last):
+        plane = weights[2][k] * weights[1][j]
+        hold_u, hold_v, hold_w = free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k], free[1, 2, j] * free[2, 2, k]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             n = row + i
-            m = nodal[n]
+            m, fx, fy, fz = nodal[n], du[n], dv[n], dw[n]
+            du[n], dv[n], dw[n] = 0.0, 0.0, 0.0
             if m <= 0.0 or (m >= limit and not everywhere):
                 continue
             quick = u[n] * u[n] + v[n] * v[n] + w[n] * w[n] > fast * fast
@@ -254,9 +249,12 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, rows, noda
                     dv[n] += q * y
                     dw[n] += s * z
                     pairs += p * x * x + q * y * y + s * z * z
+            taken = 0.5 * dt * (fx * du[n] * hold_u * free[0, 0, i] + fy * dv[n] * hold_v * free[0, 1, i]
+                                + fz * dw[n] * hold_w * free[0, 2, i])
+            sums[0] += np.int64(taken * plane * weights[0][i] / quantum)
             if keeps:
                 # sum over pairs of p |du|^2 less sum m |change|^2: what all nodes together lose, in any frame
-                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n]))
+                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n])) + 2.0 / full * taken
 
 
 @kernel

@@ -72,10 +72,16 @@ def kick(state: State, model: Model, before: float, after: float, ledger: Ledger
         runs, count, state.node_window(), state.part.cell_shape[1:], dt, after - before, model.dx, model.bulk.density,
         model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],
         *state.force, *state.velocity, state.lost, model.energy_quantum, sums)
-    for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld", "half_kicks"), sums):
+    for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld"), sums):
         ledger.add(name, value)
+    _add_half_kicks(state, ledger, sums[4])
+
+
+def _add_half_kicks(state: State, ledger: Ledger, quanta: int) -> None:
+    """Enter the energy of uneven kicks; where losses heat, it was added to what nodes lost."""
+    ledger.add("half_kicks", quanta)
     if state.lost.size > 1:
-        ledger.add("half_kicks_kept", sums[4])
+        ledger.add("half_kicks_kept", quanta)
 
 
 @phase("forces")
@@ -101,9 +107,10 @@ def second_half(state: State, model: Model, dt: float, displaced: bool, ledger: 
 
 
 @phase("nodes")
-def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float, float]:
+def calm_light_nodes(state: State, model: Model, dt: float, ledger: Ledger) -> tuple[float, float]:
     """Exchange momentum between light neighbours and around nodes beyond the speed limit; cap racing fragments.
 
+    Between the kick and the step ``dt`` (s); the arrays of the forces still hold those of the kick.
     Returns the largest speed (m/s) of light nodes and of heavy nodes on this rank.
     """
     s = model.settings
@@ -112,11 +119,15 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
     nodal = state.flat["nodal_mass"]
     state.exchange(VELOCITY, layers=1)
     momentum.mark_fast_rows(runs, count, shape, s.speed_limit, *state.velocity, state.fast_rows)
-    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit,
-                            s.speed_limit, state.fast_rows, nodal, *state.velocity, *state.force, state.lost)
+    weights, taken = state.boundary.weights, np.zeros(1, dtype=np.int64)
+    momentum.exchange_light(
+        runs, count, state.node_window(), shape, dt, model.cell_mass, s.exchange_strength, s.exchange_mass_limit,
+        s.speed_limit, state.fast_rows, weights, state.boundary.free_motion, nodal, *state.velocity, *state.force,
+        state.lost, model.energy_quantum, taken)
+    _add_half_kicks(state, ledger, taken[0])
     sums = np.zeros(4, dtype=np.int64)
     speeds = momentum.apply_exchange(
-        runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, state.boundary.weights,
+        runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, weights,
         model.bulk.density, model.dx, nodal, *state.velocity, *state.force, model.energy_quantum,
         model.mass_quantum * model.cell_mass, sums)
     for name, value in zip(("exchanged", "capped", "nodes_capped"), sums):

@@ -71,7 +71,7 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         kicked = 0.5 * (before + dt)
         ledger.add_power("hourglass_power", power[0], kicked)
         lagrange.kick(state, model, before, dt, ledger)
-        limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
+        limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, dt, ledger)
         last = size.last or since.steps == most
         if model.settings.conduction and last:
             heat.conduct(state, model, clock.in_cycle + dt - started, displaced)
