@@ -221,7 +221,8 @@ def exchange_light(runs, count, window, shape, dt, full, strength, limit, fast, 
         row = (k * (ny + 1) + j) * (nx + 1)
         everywhere = rows[k, j] | rows[k - 1, j] | rows[k + 1, j] | rows[k, j - 1] | rows[k, j + 1]
         plane = weights[2][k] * weights[1][j]
-        hold_u, hold_v, hold_w = free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k], free[1, 2, j] * free[2, 2, k]
+        hold_u, hold_v = free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k]
+        hold_w = free[1, 2, j] * free[2, 2, k]
         for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             n = row + i
             m, fx, fy, fz = nodal[n], du[n], dv[n], dw[n]

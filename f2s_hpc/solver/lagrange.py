@@ -67,7 +67,7 @@ def kick(state: State, model: Model, before: float, after: float, ledger: Ledger
     dt = 0.5 * (before + after)
     sums = np.zeros(5, dtype=np.int64)
     boundary = state.boundary
-    absorbing.apply_traction(state, model, dt, ledger)
+    absorbing.apply_traction(state, model, before, after, ledger)
     momentum.accelerate(
         runs, count, state.node_window(), state.part.cell_shape[1:], dt, after - before, model.dx, model.bulk.density,
         model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],
