@@ -71,8 +71,8 @@ FIELDS: tuple[Field, ...] = (
     _velocity("x", (-1, 1, 1)),
     _velocity("y", (1, -1, 1)),
     _velocity("z", (1, 1, -1)),
-    Field("lost_energy", NODE, "m2/s2", "twice the kinetic energy, per mass of a full node, that remap and light-node "
-          "exchange took in the last step; the next one turns it into heat", ghosted=True, saved=True),
+    Field("lost_energy", NODE, "m2/s2", "twice the kinetic energy, per mass of a full node, that remap, light-node "
+          "exchange and half kicks took in the last step; the next one turns it into heat", ghosted=True, saved=True),
     _work("nodal_mass", "1", "mass of the node over that of a node among full cells"),
     _work("force_x", "N", "x force on the node; later in the step, its velocity change by the light-node exchange; "
           "then volume (in cells) through the low face: swept in a step, material in a sweep; heat in conduction"),

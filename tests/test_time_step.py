@@ -93,7 +93,7 @@ def calmed(velocity: dict[tuple[int, int, int], float], **settings: float):
         return float((state.owned("nodal_mass") * state.owned("velocity_x")).sum())
 
     before = momentum()
-    speeds = lagrange.calm_light_nodes(state, model, setup.ledger)
+    speeds = lagrange.calm_light_nodes(state, model, 0.0, setup.ledger)
     return state.owned("velocity_x"), speeds, momentum() / before, setup.ledger.totals()
 
 

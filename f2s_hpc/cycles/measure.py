@@ -191,8 +191,8 @@ def measure_balance(state: State, model: Model, ledger: Ledger, substrate_quanta
     kinetic = sum(mpi.all_gather(kinetic_quanta(state, model)))
     energy = ledger.energy(totals, kinetic, elastic_quanta(state, model))
     brought = energy["brought_in"]
-    lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "time_step",
-                                             "put_to_sleep", "remainder"))
+    lost = sum(energy[name] for name in ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "half_kicks",
+                                             "closing", "time_step", "put_to_sleep", "remainder"))
     if not model.settings.viscous_heating:
         lost += energy["shock_viscosity"]
     # what came back as heat came with the share of plastic work that heats

@@ -18,10 +18,10 @@ def _lent_share(lent, mass, first, p, q):
 
 
 @kernel
-def _add_traction(n, place, inside, dt, full, floor, rates, spring, inward, free, nodal, lent, mass, shape, force,
-                  velocity):
+def _add_traction(n, place, inside, before, after, full, floor, rates, spring, inward, free, nodal, lent, mass, shape,
+                  force, velocity):
     """Replace the force on node ``n`` by cells' force plus traction; return the traction's work on the outside (J)."""
-    m = nodal[n] * full
+    m, dt = nodal[n] * full, 0.5 * (before + after)
     if m <= 0.0:
         return 0.0
     ny, nx = shape
@@ -51,15 +51,16 @@ def _add_traction(n, place, inside, dt, full, floor, rates, spring, inward, free
         # the velocity that the kick will make of it, to the last bit
         new = old + dt / divisor * total
         force[component][n] = total
-        work += 0.5 * dt * inside * (cells - total) * (old + new)
+        work += 0.5 * inside * (cells - total) * (before * old + after * new)
     return work
 
 
 @kernel
-def outgoing_traction(runs, count, window, shape, dt, dx, density, floor, speeds, stiffness, weights, inward, free,
-                      nodal, lent, mass, force, velocity, quantum):
-    """Put the traction of an outgoing wave on the nodes of absorbing sides, implicitly over the kick ``dt`` (s).
+def outgoing_traction(runs, count, window, shape, before, after, dx, density, floor, speeds, stiffness, weights, inward,
+                      free, nodal, lent, mass, force, velocity, quantum):
+    """Put the traction of an outgoing wave on the nodes of absorbing sides, implicitly over a kick.
 
+    ``before``, ``after``: the steps (s) of which the kick spans half each; the outside receives the work as cells do.
     ``force`` (N) of the cells inside becomes the force that :func:`f2s_hpc.kernels.momentum.accelerate` takes, on a
     node together with its mirror images behind the sides. ``speeds``: (c_p, c_s) in m/s; ``stiffness``: normal
     traction over displacement (Pa/m); ``lent``: mass (in full cells) lent by the cells; ``inward``: [axis, plane], +1
@@ -79,8 +80,8 @@ def outgoing_traction(runs, count, window, shape, dt, dx, density, floor, speeds
             if on_side or inward[0, i] != 0.0:
                 inside = weights[2][k] * weights[1][j] * weights[0][i]
                 place = (np.int64(i), np.int64(j), np.int64(k))
-                work = _add_traction(row + i, place, inside, dt, full, floor, rates, spring, inward, free, nodal, lent,
-                                     mass, (ny, nx), force, velocity)
+                work = _add_traction(row + i, place, inside, before, after, full, floor, rates, spring, inward, free,
+                                     nodal, lent, mass, (ny, nx), force, velocity)
                 total += np.int64(math.floor(work / quantum + 0.5))
     return total
 

@@ -89,11 +89,12 @@ def wall_energy(runs, count, window, shape, weights, mass, u, v, w, quantum, dx,
 
 
 @inlined
-def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
-                    quantum, sums):
+def _accelerate_row(dt, uneven, full, floor, plane, weights, holds, free_u, free_v, free_w, nodal, fx, fy, fz, u, v, w,
+                    lost, quantum, sums):
     """Advance a row of nodes; see :func:`accelerate`. ``plane``, ``holds``: what its j and k say."""
     hold_u, hold_v, hold_w = holds
     kinetic_before, kinetic_after, worked, withheld = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    alone = np.int64(0)
     for i in range(u.size):
         m = full * nodal[i]
         moves = 1.0 if m > 0.0 else 0.0
@@ -120,26 +121,38 @@ def _accelerate_row(dt, full, floor, plane, weights, holds, free_u, free_v, free
         kinetic_after += np.int64(after * quantum)
         worked += np.int64(work * quantum)
         withheld += np.int64((work - (after - before)) * quantum)
+        taken = 0.25 * uneven * (fx[i] * (u1 - u0) + fy[i] * (v1 - v0) + fz[i] * (w1 - w0))
+        alone += np.int64(taken * share * quantum)
+        lost[i] += 2.0 / full * taken
     sums[0] += kinetic_before
     sums[1] += kinetic_after
     sums[2] += worked
     sums[3] += withheld
+    sums[4] += alone
 
 
 @kernel
-def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free, nodal, fx, fy, fz, u, v, w,
-               quantum, sums):
+def accelerate(runs, count, window, shape, dt, uneven, dx, density, floor, weights, free, nodal, fx, fy, fz, u, v, w,
+               lost, quantum, sums):
     """Advance the owned nodes by one kick, v += dt F / m, and hold the walls.
+
+    A kick from the middle of a step to that of the next works with the mean of both velocities, and cells receive what
+    the forces do with the velocity of each step over its half. Where one step is longer by ``uneven`` (s) than the one
+    before, the cells receive F . dv ``uneven`` / 4 more than nodes give: for the half kicks around a remap, which has
+    no step on its other side, dt^2 F^2 / 8m, of which the remap changes F. Node by node that is entered into ``lost``
+    (half full nodes (m/s)^2), unless that is an array of one number.
 
     ``floor``: least mass (in full nodes) that divides the force; where that is more than the node has, a force against
     its motion is divided by less, down to its mass, until it has taken all motion along it.
     ``free``: per axis and component, 1 where a node plane may move in that component, 0 where the wall holds it, as
     free[axis][component].
-    ``sums`` int64[4], in units of ``quantum`` (J): kinetic energy before and after, work of the
-    forces, and the part of that work that the mass floor withheld.
+    ``sums`` int64[5], in units of ``quantum`` (J): kinetic energy before and after, work of the
+    forces, the part of that work that the mass floor withheld, and what uneven steps took.
     """
     ny, nx = shape
     full, per_quantum = density * dx * dx * dx, 1.0 / quantum
+    keeps, unkept = lost.size > 1, np.zeros(nx + 1)
+    lost = borrowed(lost)
     nodal, fx, fy, fz, u, v, w = (borrowed(nodal), borrowed(fx), borrowed(fy), borrowed(fz), borrowed(u), borrowed(v),
                                   borrowed(w))
     for r in range(count):
@@ -152,9 +165,10 @@ def accelerate(runs, count, window, shape, dt, dx, density, floor, weights, free
         a = (k * (ny + 1) + j) * (nx + 1) + first
         b = a + last - first
         holds = (free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k], free[1, 2, j] * free[2, 2, k])
-        _accelerate_row(dt, full, floor, weights[2][k] * weights[1][j], weights[0][first:last], holds,
+        _accelerate_row(dt, uneven, full, floor, weights[2][k] * weights[1][j], weights[0][first:last], holds,
                         free[0, 0, first:last], free[0, 1, first:last], free[0, 2, first:last], nodal[a:b], fx[a:b],
-                        fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], per_quantum, sums)
+                        fy[a:b], fz[a:b], u[a:b], v[a:b], w[a:b], lost[a:b] if keeps else unkept[:b - a], per_quantum,
+                        sums)
 
 
 @inlined
@@ -181,15 +195,18 @@ def mark_fast_rows(runs, count, shape, fast, u, v, w, rows):
 
 
 @kernel
-def exchange_light(runs, count, window, shape, strength, limit, fast, rows, nodal, u, v, w, du, dv, dw, lost):
-    """Write into du, dv, dw the velocity change (m/s) of the light-node exchange.
+def exchange_light(runs, count, window, shape, dt, full, strength, limit, fast, rows, weights, free, nodal, u, v, w,
+                   du, dv, dw, lost, quantum, sums):
+    """Write into du, dv, dw, which hold the forces of the kick before, the velocity change (m/s) of the exchange.
 
     A pair of neighbours along an axis shares momentum: along that axis if both are lighter than ``limit`` full nodes
     (with ``strength``), in every direction if one of them is faster than ``fast`` (m/s; with FAST_STRENGTH). The pair's
     lighter mass times the strength times the velocity difference passes from one to the other, so the
     pair keeps its momentum and no pair overshoots (strength < 1/6); and what passes along the axis alone leaves a
     body's turning as it is. Adds to ``lost`` each node's half of the kinetic energy that its pairs lose (half full
-    nodes (m/s)^2), unless that is an array of one number.
+    nodes (m/s)^2), unless that is an array of one number. So for what those forces do with the change over the half of
+    the step ``dt`` (s) that comes: cells receive it, though no kick gave it. Its sum goes into ``sums`` int64[1], in
+    units of ``quantum`` (J); ``full``: mass of a full node (kg); ``weights``, ``free``: as in :func:`accelerate`.
     ``rows``: which rows hold a node beyond ``fast`` (:func:`mark_fast_rows`); elsewhere only light nodes are looked at.
     """
     ny, nx = shape
@@ -203,15 +220,13 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, rows, noda
             continue
         row = (k * (ny + 1) + j) * (nx + 1)
         everywhere = rows[k, j] | rows[k - 1, j] | rows[k + 1, j] | rows[k, j - 1] | rows[k, j + 1]
-        first, last = max(runs[r, 2], window[4]), min(runs[r, 3], window[5])
-        if last <= first:
-            continue
-        du[row + first:row + last] = 0.0
-        dv[row + first:row + last] = 0.0
-        dw[row + first:row + last] = 0.0
-        for i in range(first, last):
+        plane = weights[2][k] * weights[1][j]
+        hold_u, hold_v = free[1, 0, j] * free[2, 0, k], free[1, 1, j] * free[2, 1, k]
+        hold_w = free[1, 2, j] * free[2, 2, k]
+        for i in range(max(runs[r, 2], window[4]), min(runs[r, 3], window[5])):
             n = row + i
-            m = nodal[n]
+            m, fx, fy, fz = nodal[n], du[n], dv[n], dw[n]
+            du[n], dv[n], dw[n] = 0.0, 0.0, 0.0
             if m <= 0.0 or (m >= limit and not everywhere):
                 continue
             quick = u[n] * u[n] + v[n] * v[n] + w[n] * w[n] > fast * fast
@@ -235,9 +250,12 @@ def exchange_light(runs, count, window, shape, strength, limit, fast, rows, noda
                     dv[n] += q * y
                     dw[n] += s * z
                     pairs += p * x * x + q * y * y + s * z * z
+            taken = 0.5 * dt * (fx * du[n] * hold_u * free[0, 0, i] + fy * dv[n] * hold_v * free[0, 1, i]
+                                + fz * dw[n] * hold_w * free[0, 2, i])
+            sums[0] += np.int64(taken * plane * weights[0][i] / quantum)
             if keeps:
                 # sum over pairs of p |du|^2 less sum m |change|^2: what all nodes together lose, in any frame
-                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n]))
+                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n])) + 2.0 / full * taken
 
 
 @kernel

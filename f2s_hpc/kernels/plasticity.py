@@ -23,19 +23,21 @@ GRADIENT, TRIAL, MISES, STRAIN, STATIC, RATIO, PLASTIC, FLOW, AFTER, VOLUME, SHA
 equivalent strain increment, static flow stress, return ratio, plastic strain increment, flow stress; volume
 fraction after, volume ratio, s:s before and after."""
 
-ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, COMPRESSION, NORM = 25, 26, 27, 28, 29, 30, 31, 46
+ELASTIC_BEFORE, ELASTIC_AFTER, POWER, HEAT, VISCOUS, RETURNED, CLOSING, COMPRESSION, NORM = (
+    25, 26, 27, 28, 29, 30, 31, 32, 47)
 """Energies per cell volume (J/m3), in the order of the sums: elastic before and after, plastic work, heat, shock
-viscosity, heat from numerical losses, work of a pressure that is kept as internal energy; then the squared norm of the
-gradient."""
+viscosity, heat from numerical losses, closing, work of a pressure that is kept as internal energy; then the squared
+norm of the gradient."""
 
-THETA, PEEQ, RATE, SLOPE, RATE_SLOPE = 32, 33, 34, 35, 36
+THETA, PEEQ, RATE, SLOPE, RATE_SLOPE = 33, 34, 35, 36, 37
 """Rows of thermal factor, PEEQ, first rate coefficient, slopes of hardening and of that coefficient in the logarithm
 of PEEQ: of the chunk, then of its yielding cells side by side."""
 
-TRIAL_MISES, EXCESS, LOGARITHM, LOW, HIGH, LAST, INCREMENT, RETURNED_STRESS = 37, 38, 39, 40, 41, 42, 43, 44
+TRIAL_MISES, EXCESS, LOGARITHM, LOW, HIGH, LAST, INCREMENT, RETURNED_STRESS = (
+    38, 39, 40, 41, 42, 43, 44, 45)
 """Rows of the yielding cells alone, side by side."""
 
-VOLUME_BEFORE, ROWS = 45, 47
+VOLUME_BEFORE, ROWS = 46, 48
 """Row of the volume ratio before the step; number of rows."""
 
 LANES = 8
@@ -204,11 +206,12 @@ def heat_chunk(mass, temperature, bulk, heating, dt_over_volume, hourglass, q00,
         s[POWER * W + i] = mean * s[PLASTIC * W + i] * s[AFTER * W + i] * s[VOLUME * W + i]
         specific = 0.125 * (((q00[i] + q00[i + 1]) + (q10[i] + q10[i + 1])) + ((q01[i] + q01[i + 1])
                                                                               + (q11[i] + q11[i + 1])))
-        lost = mass[i] * bulk.density * specific + hourglass[i] * dt_over_volume
+        lost = mass[i] * bulk.density * specific + hourglass[i] * dt_over_volume + s[CLOSING * W + i]
         # (what the ringing of the remap made may cool, but not more than by half)
         held = mass[i] * bulk.density * bulk.specific_heat * temperature[i]
         s[RETURNED * W + i] = losses * max(bulk.taylor_quinney * lost, -0.5 * held) if mass[i] > 0.0 else 0.0
         s[VISCOUS * W + i] = s[VISCOUS * W + i] if mass[i] > 0.0 else 0.0
+        s[CLOSING * W + i] = s[CLOSING * W + i] if mass[i] > 0.0 else 0.0
         s[POWER * W + i] = s[POWER * W + i] if mass[i] > 0.0 else 0.0
         s[HEAT * W + i] = (bulk.taylor_quinney * s[POWER * W + i] + viscous * s[VISCOUS * W + i]) + s[RETURNED * W + i]
     for i in range(mass.size):

@@ -10,6 +10,7 @@ from f2s_hpc._jit import borrowed, inlined, kernel
 from f2s_hpc.kernels.deformed import gradient, to_deformed, volume_ratios
 from f2s_hpc.kernels.plasticity import (
     AFTER,
+    CLOSING,
     COMPRESSION,
     ELASTIC_AFTER,
     ELASTIC_BEFORE,
@@ -112,16 +113,24 @@ def closure(x, fraction, jacobian, energy, eos, spall):
 
 @inlined
 def _close_chunk(mass, fraction, energy, shock, closing, times, bulk, eos, s):
-    """Volume fraction after, and work of the shock viscosity per cell volume (J/m3) of a chunk.
+    """Volume fraction after, and work of shock viscosity and of closing per cell volume (J/m3) of a chunk.
 
     ``shock``, ``closing``: viscous pressure (Pa) in this step's forces, and the divergence (1/s) before them;
-    ``times``: how long (s) it works on that, and on the divergence after, as the nodes' kicks have it.
+    ``times``: how long (s) it works on that, and on the divergence after, as the nodes' kicks have it; and whether (1)
+    it works over the second half of the step too, on the cell as it is then. So does the pressure of a cell that closes
+    in the step; what of that is over the void that it had left no compression stores.
     """
     for i in range(mass.size):
         rate = s[i] + s[4 * W + i] + s[8 * W + i]
-        s[AFTER * W + i] = closure(mass[i], fraction[i], s[VOLUME * W + i], energy[i], eos, bulk.spall_pressure)
-        closed = times[0] * closing[i] + times[1] * rate
-        s[VISCOUS * W + i] = -fraction[i] * s[VOLUME_BEFORE * W + i] * shock[i] * closed
+        x, volume, f = mass[i], s[VOLUME * W + i], fraction[i]
+        after = closure(x, f, volume, energy[i], eos, bulk.spall_pressure)
+        closed = f * s[VOLUME_BEFORE * W + i] * (times[0] * closing[i] + times[1] * rate)
+        second = volume - s[VOLUME_BEFORE * W + i] - s[VOLUME_BEFORE * W + i] * times[1] * rate
+        s[AFTER * W + i] = after
+        s[VISCOUS * W + i] = -shock[i] * (closed + times[2] * after * second)
+        closes = (f < 1.0) & (after >= 1.0)
+        stored = 0.5 * (x / unloaded(eos, energy[i]) - volume)
+        s[CLOSING * W + i] = pressure(eos, x / volume, energy[i]) * max(-second - stored, 0.0) if closes else 0.0
 
 
 @inlined
@@ -217,17 +226,17 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
                     hourglass, node_heat, closing, quantum, sums):
     """Strain, stress, plastic flow, heating and closure of the cells in ``window``.
 
-    ``times``: how long (s) the viscous pressure works on the divergence before and after the kick, and how long
-    hourglass control does.
+    ``times``: how long (s) the viscous pressure works on the divergence before and after the kick, whether (1) it does
+    in the second half of the step, and how long hourglass control works.
     Jaumann rate with implicit J2 radial return; Taylor-Quinney heating dT = beta sigma d / (rho c_p).
     ``heating``: (share of the shock viscosity's work that heats, share of what hourglass control, remap and light-node
     exchange took that heats as plastic work does). ``displaced``: nodes are displaced by ``x``, ``y``, ``z`` (in cells)
     since the last remap, and cells had the volume ratios ``before``; ``gx``, ``gy``, ``gz``: what their faces have
     swept at the end of this step. ``shock`` (Pa), ``hourglass`` (W per cell), ``node_heat`` (J/kg), ``closing`` (1/s):
     node-shaped arrays; what the forces of this step and the losses of the last one left to be turned into heat.
-    ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[7] in units of ``quantum`` (J):
+    ``fraction`` becomes the volume fraction of the deformed cell. ``sums`` int64[8] in units of ``quantum`` (J):
     elastic energy before and after, plastic work, heat, work of the shock viscosity, heat from numerical losses, work
-    of a pressure that is kept as internal energy.
+    of closing, work of a pressure that is kept as internal energy.
     Returns the largest velocity-gradient norm (1/s) of the cells at least half full and the flat index of that cell.
     """
     ny, nx = shape
@@ -275,7 +284,7 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
             _trial_stress(stress[0][cell:end], stress[1][cell:end], stress[2][cell:end], stress[3][cell:end],
                           stress[4][cell:end], stress[5][cell:end], dt, bulk.shear_modulus, largest, s)
             return_chunk(flow, filled, peeq[cell:end], t, dt, bulk.shear_modulus, place, s)
-            heat_chunk(filled, t, bulk, heating, times[2] / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
+            heat_chunk(filled, t, bulk, heating, times[3] / (dx * dx * dx), hourglass[a:a + n], node_heat[a:a + m],
                        node_heat[b:b + m], node_heat[c:c + m], node_heat[d:d + m], s)
             if carried:
                 _internal_energy(filled, f, e, t, stress, cell, dt, bulk, eos, s)
@@ -284,7 +293,7 @@ def lagrangian_step(runs, count, window, shape, dt, times, dx, largest, bulk, eo
             _elastic_chunk(filled, f, e, 0.0 if carried else 1.0, bulk, eos, s)
             for i in range(n):
                 f[i] = s[AFTER * W + i] if filled[i] > 0.0 else f[i]
-            for term in range(7 if carried else 6):
+            for term in range(8 if carried else 7):
                 sums[term] += _sum_row(ELASTIC_BEFORE + term, n, scale, s)
             at = place_of_largest(s[NORM * W:NORM * W + n], fastest)
             if at >= 0:

@@ -22,6 +22,7 @@ ENERGY_NAMES = {
     "brought_in": "brought in by the particles", "plastic_work": "plastic work",
     "shock_viscosity": "shock viscosity", "hourglass": "hourglass control", "light_nodes": "light nodes",
     "remap_kinetic": "kinetic, lost by the remap", "remap_elastic": "elastic, lost by the remap",
+    "half_kicks": "half kicks around remaps", "closing": "cells that close within a step",
     "time_step": "error of the explicit step", "through_faces": "left through the sides", "kinetic": "still kinetic",
     "put_to_sleep": "ringing that was put to sleep",
     "elastic": "stored elastically", "remainder": "unexplained"}

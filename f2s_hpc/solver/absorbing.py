@@ -33,8 +33,11 @@ def wave_speeds(model: Model) -> tuple[float, float]:
     return (longitudinal / bulk.density) ** 0.5, (bulk.shear_modulus / bulk.density) ** 0.5
 
 
-def apply_traction(state: State, model: Model, dt: float, ledger: Ledger) -> None:
-    """Add the traction of the touched absorbing sides to the forces of a kick over ``dt`` (s), and enter its work."""
+def apply_traction(state: State, model: Model, before: float, after: float, ledger: Ledger) -> None:
+    """Add the traction of the touched absorbing sides to the forces of a kick, and enter its work.
+
+    ``before``, ``after``: the steps (s) of which the kick spans half each.
+    """
     boundary = state.boundary
     if not boundary.absorbing:
         return
@@ -42,7 +45,7 @@ def apply_traction(state: State, model: Model, dt: float, ledger: Ledger) -> Non
     stiffness = model.bulk.density * speeds[0] ** 2 / model.settings.absorbing_depth
     runs, count = state.runs
     work = absorbing.outgoing_traction(
-        runs, count, state.node_window(), state.part.cell_shape[1:], dt, model.dx, model.bulk.density,
+        runs, count, state.node_window(), state.part.cell_shape[1:], before, after, model.dx, model.bulk.density,
         model.settings.light_mass_floor, speeds, stiffness, boundary.weights, boundary.inward, boundary.free_motion,
         state.flat["nodal_mass"], state.flat[LENT], state.flat["mass"], state.force, state.velocity,
         model.energy_quantum)

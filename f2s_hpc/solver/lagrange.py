@@ -58,18 +58,30 @@ remap, the divergence of the velocity."""
 
 
 @phase("nodes")
-def kick(state: State, model: Model, dt: float, ledger: Ledger) -> None:
-    """Accelerate the owned nodes over ``dt`` and hold the walls; ghosts of velocity are not valid after."""
+def kick(state: State, model: Model, before: float, after: float, ledger: Ledger) -> None:
+    """Accelerate the owned nodes and hold the walls; ghosts of velocity are not valid after.
+
+    Over half of the step ``before`` (s) and half of the one ``after``; none of them beside a remap.
+    """
     runs, count = state.runs
-    sums = np.zeros(4, dtype=np.int64)
+    dt = 0.5 * (before + after)
+    sums = np.zeros(5, dtype=np.int64)
     boundary = state.boundary
-    absorbing.apply_traction(state, model, dt, ledger)
+    absorbing.apply_traction(state, model, before, after, ledger)
     momentum.accelerate(
-        runs, count, state.node_window(), state.part.cell_shape[1:], dt, model.dx, model.bulk.density,
+        runs, count, state.node_window(), state.part.cell_shape[1:], dt, after - before, model.dx, model.bulk.density,
         model.settings.light_mass_floor, boundary.weights, boundary.free_motion, state.flat["nodal_mass"],
-        *state.force, *state.velocity, model.energy_quantum, sums)
+        *state.force, *state.velocity, state.lost, model.energy_quantum, sums)
     for name, value in zip(("kinetic_before", "kinetic_after", "work", "withheld"), sums):
         ledger.add(name, value)
+    _add_half_kicks(state, ledger, sums[4])
+
+
+def _add_half_kicks(state: State, ledger: Ledger, quanta: int) -> None:
+    """Enter the energy of uneven kicks; where losses heat, it was added to what nodes lost."""
+    ledger.add("half_kicks", quanta)
+    if state.lost.size > 1:
+        ledger.add("half_kicks_kept", quanta)
 
 
 @phase("forces")
@@ -91,13 +103,14 @@ def second_half(state: State, model: Model, dt: float, displaced: bool, ledger: 
     power = np.zeros(1, dtype=np.int64)
     _add_forces(state, model, dt, True, moved, power)
     ledger.add_power("hourglass_power", power[0], 0.5 * dt)
-    kick(state, model, 0.5 * dt, ledger)
+    kick(state, model, dt, 0.0, ledger)
 
 
 @phase("nodes")
-def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float, float]:
+def calm_light_nodes(state: State, model: Model, dt: float, ledger: Ledger) -> tuple[float, float]:
     """Exchange momentum between light neighbours and around nodes beyond the speed limit; cap racing fragments.
 
+    Between the kick and the step ``dt`` (s); the arrays of the forces still hold those of the kick.
     Returns the largest speed (m/s) of light nodes and of heavy nodes on this rank.
     """
     s = model.settings
@@ -106,11 +119,15 @@ def calm_light_nodes(state: State, model: Model, ledger: Ledger) -> tuple[float,
     nodal = state.flat["nodal_mass"]
     state.exchange(VELOCITY, layers=1)
     momentum.mark_fast_rows(runs, count, shape, s.speed_limit, *state.velocity, state.fast_rows)
-    momentum.exchange_light(runs, count, state.node_window(), shape, s.exchange_strength, s.exchange_mass_limit,
-                            s.speed_limit, state.fast_rows, nodal, *state.velocity, *state.force, state.lost)
+    weights, taken = state.boundary.weights, np.zeros(1, dtype=np.int64)
+    momentum.exchange_light(
+        runs, count, state.node_window(), shape, dt, model.cell_mass, s.exchange_strength, s.exchange_mass_limit,
+        s.speed_limit, state.fast_rows, weights, state.boundary.free_motion, nodal, *state.velocity, *state.force,
+        state.lost, model.energy_quantum, taken)
+    _add_half_kicks(state, ledger, taken[0])
     sums = np.zeros(4, dtype=np.int64)
     speeds = momentum.apply_exchange(
-        runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, state.boundary.weights,
+        runs, count, state.node_window(), shape, s.exchange_mass_limit, s.speed_cap, weights,
         model.bulk.density, model.dx, nodal, *state.velocity, *state.force, model.energy_quantum,
         model.mass_quantum * model.cell_mass, sums)
     for name, value in zip(("exchanged", "capped", "nodes_capped"), sums):
@@ -134,16 +151,15 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
     runs, count = state.runs
     shape = state.part.cell_shape[1:]
     s = model.settings
-    sums = np.zeros(7, dtype=np.int64)
+    sums = np.zeros(8, dtype=np.int64)
     full = state.cell_window((GHOST, GHOST, GHOST), (GHOST, GHOST, GHOST))
     # (before the first step there is no displacement, nor memory for one where each step is remapped)
     deformed.sweep_faces(runs, count, full, shape, displaced, dt / model.dx, *state.velocity,
                          *(state.displacement if displaced else state.velocity), *state.sweep,
                          state.flat[VOLUME_FLUX])
-    # a kick from half step to half step works with the mean of both velocities, one of half a step beside a remap with
-    # the new one, and second_half, which has this step's viscous pressure again, too. Hourglass control has another
-    # power there, but heat of the first is near enough
-    times = (0.5 * dt if displaced else 0.0, dt if last else 0.5 * dt,
+    # the viscous pressure works over the half step before, none beside a remap, over the one after, and in second_half.
+    # Hourglass control has another power there, but heat of the first is near enough
+    times = (0.5 * dt if displaced else 0.0, 0.5 * dt, 1.0 if last else 0.0,
              (0.5 * dt if kicked is None else kicked) + (0.5 * dt if last else 0.0))
     gradient, where = strain.lagrangian_step(
         runs, count, state.cell_window(), shape, dt, times, model.dx, s.largest_strain, model.bulk, model.eos,
@@ -153,8 +169,7 @@ def deform(state: State, model: Model, dt: float, ledger: Ledger, displaced: boo
         *(state.flat[n] for n in TO_HEAT[:2]), state.flat["dual_flux"], state.flat["mass_flux"],
         model.energy_quantum, sums)
     for name, value in zip(("elastic_before", "elastic_after", "plastic_work", "heat", "shock_viscosity", "returned",
-                            "compression"),
-                           sums):
+                            "closing", "compression"), sums):
         ledger.add(name, value)
     return gradient, where
 

@@ -19,6 +19,9 @@ ENERGY_TERMS = {
     "light_nodes": "kinetic energy taken from light nodes: exchange, mass floor, speed cap",
     "remap_kinetic": "kinetic energy lost in the momentum remap, summed node by node",
     "remap_elastic": "elastic energy lost in the stress remap and the closure, less what sealed traces of void store",
+    "half_kicks": "work of half kicks around a remap, which changes the forces, and of steps that change, that no cell "
+                  "gives or receives: dt^2 F^2 / 8m, node by node",
+    "closing": "work of the pressure of cells that close within a step over the void that they had left",
     "time_step": "work of the forces on the nodes less what the cells received: error of the explicit step",
     "put_to_sleep": "kinetic energy of what was put to sleep (numerics.sleeping_depth)",
     "through_faces": "kinetic energy that left through open faces, and what absorbing ones took",
@@ -28,9 +31,9 @@ ENERGY_TERMS = {
 }
 
 _COUNTS = ("brought_in", "work", "plastic_work", "shock_viscosity", "hourglass_power", "heat", "returned", "exchanged",
-           "exchange_kept", "lost", "capped", "withheld", "kinetic_before", "kinetic_after", "elastic_before",
-           "elastic_after", "through_faces", "put_to_sleep", "mass_left", "mass_lent", "mass_capped", "mass_painted",
-           "nodes_capped", "compression")
+           "exchange_kept", "lost", "capped", "withheld", "half_kicks", "half_kicks_kept",
+           "closing", "kinetic_before", "kinetic_after", "elastic_before", "elastic_after", "through_faces",
+           "put_to_sleep", "mass_left", "mass_lent", "mass_capped", "mass_painted", "nodes_capped", "compression")
 
 
 class Ledger:
@@ -64,7 +67,7 @@ class Ledger:
         joule = self.energy_quantum
         power = joule / 2**40
         light = totals["exchanged"] + totals["capped"] + totals["withheld"]
-        remap_kinetic = totals["lost"] - totals["exchange_kept"]
+        remap_kinetic = totals["lost"] - totals["exchange_kept"] - totals["half_kicks_kept"]
         remap_elastic = totals["elastic_after"] - totals["elastic_before"] - elastic_now
         terms = {
             "brought_in": totals["brought_in"] * joule,
@@ -77,12 +80,15 @@ class Ledger:
             "light_nodes": light * joule,
             "remap_kinetic": remap_kinetic * joule,
             "remap_elastic": remap_elastic * joule,
+            "half_kicks": totals["half_kicks"] * joule,
+            "closing": totals["closing"] * joule,
             "put_to_sleep": totals["put_to_sleep"] * joule,
             "through_faces": totals["through_faces"] * joule,
         }
         received = (totals["elastic_after"] - totals["elastic_before"] + totals["plastic_work"]
                     + totals["shock_viscosity"] + totals["compression"])
-        terms["time_step"] = -(totals["work"] + received) * joule - terms["hourglass"]
+        terms["time_step"] = -(totals["work"] + received + totals["half_kicks"] + totals["closing"]) * joule - terms[
+            "hourglass"]
         spent = sum(value for name, value in terms.items() if name != "brought_in")
         terms["remainder"] = terms["brought_in"] - spent
         terms["heat"] = totals["heat"] * joule

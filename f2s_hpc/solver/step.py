@@ -67,10 +67,11 @@ def advance(state: State, model: Model, clock: Clock, ledger: Ledger, cycle_end:
         state.pool.cover(int(size.rates[5]))
 
         # from the remap, or from the middle of the last step, to the middle of this one
-        kicked = 0.5 * (dt + clock.dt) if displaced else 0.5 * dt
+        before = clock.dt if displaced else 0.0
+        kicked = 0.5 * (before + dt)
         ledger.add_power("hourglass_power", power[0], kicked)
-        lagrange.kick(state, model, kicked, ledger)
-        limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, ledger)
+        lagrange.kick(state, model, before, dt, ledger)
+        limits.light_speed, limits.heavy_speed = lagrange.calm_light_nodes(state, model, dt, ledger)
         last = size.last or since.steps == most
         if model.settings.conduction and last:
             heat.conduct(state, model, clock.in_cycle + dt - started, displaced)

@@ -20,11 +20,6 @@ from f2s_hpc.verify.shapes import paint_slab
 
 ROOM = 298.15
 
-PRESSED = 0.015
-"""Bar of the energy that nothing explains where a block presses spheres, a shock all through that two fifths of the
-energy end in: 1.0 % measured, all of it error of the explicit step, and a half and a quarter of it with a half and a
-quarter of the step."""
-
 TALLEST_VOID, FEWEST = 0.005, 16.0
 """Bar of this project for two blocks: void or misplaced height over height, with at least so many cells a block."""
 
@@ -170,7 +165,7 @@ def run_spheres(options: Options) -> Iterator[Measured]:
         void = (surface - fraction) / surface
         start = (before - mass) / before
         yield Measured("void fraction before", level, dx, start, None, 0.0, compares=False, **cost)
-        yield energy.row_of(setup, level, cost, PRESSED)
+        yield energy.row_of(setup, level, cost)
         yield Measured("void left / void before", level, dx, void / start, 0.0, abs(void / start), 0.02, **cost)
         for quantity, height in (("surface height over mass height", surface), ("VF over mass", fraction)):
             yield Measured(quantity, level, dx, height / dense, 1.0, abs(height / dense - 1.0), 0.005, **cost)

@@ -54,7 +54,7 @@ SMALL, _CANCELLED = 0.003, 1e-3
 """Shares of the impact energy: below the first a numerical part may be above that of coarser cells, and where the error
 of the step is below the second with the whole and with half the step, it is not judged whether it falls."""
 
-NUMERICAL_TERMS = ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic")
+NUMERICAL_TERMS = ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "half_kicks", "closing")
 """Energy terms that no physical process takes; the work of the shock viscosity joins them where it is not heated."""
 
 
