@@ -178,5 +178,7 @@ def _explain(problem: ErrorDetails) -> tuple[str, str]:
         word, bound = _BOUNDS[kind]
         return key, f"{shown}: must be {word} {_bound(loc, context[bound])}"
     if kind in _KINDS:
-        return key, f"{shown}: must be {_KINDS[kind]}"
+        # (what TOML cannot read as a list is taken for a text)
+        more = ", each text in it in quotes" if kind == "tuple_type" and str(problem["input"]).startswith("[") else ""
+        return key, f"{shown}: must be {_KINDS[kind]}{more}"
     return key, f"{shown}: {problem['msg']}"
