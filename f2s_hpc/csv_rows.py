@@ -1,4 +1,4 @@
-"""CSV files that a user gives, split into rows, with one clear line where a spreadsheet has saved them otherwise."""
+"""CSV files that a user gives, split into rows, however a spreadsheet has saved them."""
 
 from __future__ import annotations
 
@@ -26,21 +26,19 @@ def split_rows(path: str | os.PathLike, text: str) -> list[list[str]]:
     """Return the values of each line of ``text``, the header's too.
 
     Lines that begin with ``#`` are left out, and those without any value (spreadsheets leave some of commas alone).
-    Raises InputError, naming the file, for values that are separated by something else than commas, and the row that
-    cannot be split.
+    Spreadsheets of many countries put semicolons or tabs between values, and commas into them: where the header has
+    such marks and no comma, a comma in a value is that of its decimals.
+    Raises InputError, naming the file and the row that cannot be split.
     """
     lines = [line for line in text.splitlines() if line.strip(" \t,;") and not line.lstrip().startswith("#")]
-    for mark, name, command in ((";", "semicolons", "sed 's/,/./g; s/;/,/g'"), ("\t", "tabs", "tr '\\t' ','")):
-        if lines and mark in lines[0] and "," not in lines[0]:
-            raise InputError(f"{path}: its values are separated by {name}; commas are needed, and decimals with a "
-                             f"point: {command} < old.csv > new.csv")
+    mark = next((mark for mark in ";\t" if lines and mark in lines[0] and "," not in lines[0]), ",")
     rows: list[list[str]] = []
     try:
-        rows.extend(csv.reader(lines))
+        rows.extend(csv.reader(lines, delimiter=mark))
     except csv.Error as error:
         where = f"row {len(rows)}" if rows else "the first line"
         raise InputError(f"{path}: {where}: cannot be split into values ({error}); is a quote left open?") from None
-    return rows
+    return rows if mark == "," else [[value.replace(",", ".") for value in row] for row in rows]
 
 
 def count_error(where: str, row: list[str], header: list[str]) -> InputError:

@@ -3,6 +3,8 @@
 # until it is complete.
 #
 #   OUT=runs/section4 sbatch jobs/chain.sh --set domain.cell_size="2 um"     arguments only count at the start
+#   OUT=runs/section4 CYCLES=14 sbatch jobs/chain.sh                         more cycles, also onto a complete run
+#   SCENE=$PWD/mine.toml OUT=runs/mine sbatch jobs/chain.sh                  a scene of your own
 #   OUT=runs/section4 bash jobs/chain.sh                                     on a workstation: one after another
 #   DRY_RUN=1 bash jobs/chain.sh                                             only print the command
 #
@@ -12,7 +14,7 @@
 # possible at any link. The chain ends when the run is complete, at any other error, when a link has gained no
 # checkpoint, or after "touch $OUT/STOP".
 #
-# Variables: SCENE, OUT, and those of jobs/common.sh.
+# Variables: SCENE, OUT, CYCLES, and those of jobs/common.sh.
 #SBATCH --job-name=f2s-chain
 #SBATCH --nodes=1
 #SBATCH --ntasks-per-node=32
@@ -27,7 +29,7 @@ set -euo pipefail
 F2S_ROOT=${F2S_ROOT:-${SLURM_SUBMIT_DIR:-$(cd "$(dirname "$0")/.." && pwd)}}
 . "$F2S_ROOT/jobs/common.sh"
 SCENE=${SCENE:-section4}
-OUT=${OUT:-runs/$SCENE-chain}
+OUT=${OUT:-runs/$(basename "$SCENE" .toml)-chain}
 NOT_FINISHED=75
 
 # (by the time of writing: names do not tell once one was damaged and written anew)
@@ -69,10 +71,10 @@ link() {
     if lost; then
         set_aside
     elif [ -d "$OUT/checkpoints" ]; then
-        run_ranks "$NTASKS" f2s resume "$OUT"
+        run_ranks "$NTASKS" f2s resume "$OUT" ${CYCLES:+--set "cycles.count=$CYCLES"}
         return
     fi
-    run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" "$@"
+    run_ranks "$NTASKS" f2s run "$SCENE" --out "$OUT" "$@" ${CYCLES:+--set "cycles.count=$CYCLES"}
 }
 
 # back_to_the_queue: this very job again; where requeueing is switched off, a new job of the same script, with what SLURM

@@ -12,7 +12,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from conftest import launch
+from conftest import f2s, launch
 
 from f2s_hpc import mpi
 from f2s_hpc.cli import tasks
@@ -267,6 +267,31 @@ def test_a_low_box_and_short_cycles_are_told_and_what_is_enough(changes, keys):
         changes.append(f"{key}={json.dumps([*size, enough[2]]) if enough[2] else enough[1]}")
         assert len(told) <= len(keys), notes
     assert told == keys
+
+
+def test_what_leans_out_of_the_box_is_told_before_and_after(tmp_path):
+    """A sphere that flies through a side is named by check's note and by the line of the cycle.
+
+    Fails when ``_crossing`` leaves out ``velocity * time``, or ``_finish_cycle`` does not compare ``mass_left_kg``.
+    """
+    changes = ["domain.cell_size=8 um", 'domain.size=["96 um", "96 um", "88 um"]', "particles.direction=[1, 0, -0.1]",
+               "cycles.duration=150 ns"]
+
+    def told(*more: str) -> list[str]:
+        scene = load_scene("splat", [*changes, *more])
+        return scene_notes(scene, make_batches(scene))
+
+    (thrown,) = [note for note in told() if "thrown back" in note]
+    assert "84 degrees" in thrown
+    assert "100 % of the powder" in thrown
+    out = "domain.faces.x_high=free"
+    (lost,) = [note for note in told(out) if "x_high" in note]
+    assert lost.startswith('100 % of the powder leave the box through domain.faces.x_high = "free"')
+    assert not [note for note in told(out, "particles.direction=[0.1, 0, -1]") if "x_high" in note]
+    settings = [word for change in [*changes, out] for word in ("--set", change)]
+    done = f2s("run", "splat", "--out", "out", *settings, cwd=tmp_path)
+    found = re.search(r"cycle 1/1 done: .*left the box: ([\d.]+) % of the powder's mass", done.stdout + done.stderr)
+    assert 95.0 < float(found[1]) <= 100.1
 
 
 @pytest.mark.parametrize(("radius", "cell", "instead"), [

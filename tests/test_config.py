@@ -217,9 +217,15 @@ def test_custom_material_takes_all_its_keys_from_the_scene(scene_file):
     ("batches.count=0", ["--set batches.count:", "has no particles"]),
     ("material.name=coper-ge", ["--set material.name:", 'did you mean "copper-ge"']),
     ("material.name=gold", ["no such material", "copper-ge", "tantalum"]),
+    ("output.fields=[peeq]", ["--set output.fields:", "must be a list in brackets, each text in it in quotes"]),
+    ("output.fields=peeq", ["must be a list in brackets"]),
+    ("material.flow_stress.A=90 MPa", ['"material.flow_stress.A"; another model has it; possible here: model']),
     ("material.flow_stress.hardening_a=1 MPa", ['did you mean "material.flow_stress.hardening_A"']),
 ])
 def test_wrong_override_names_its_key(override, words):
+    """Fails when ``_explain`` offers the very key that it refuses, for one of another flow stress model, or does not
+    look at what begins with a bracket.
+    """
     text = message("quickstart", override)
     for word in words:
         assert word in text

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -210,3 +213,40 @@ def test_johnson_cook_keeps_its_limits_of_temperature():
     cold, room = (flow_stress(JOHNSON_COOK, 0.1, 1.0, kelvin)[0] for kelvin in (100.0, 298.0))
     assert cold == room
     assert flow_stress(JOHNSON_COOK, 0.1, 1.0, 1400.0)[0] == 0.0
+
+
+OWN_LAW = """
+import math, numpy as np
+from typing import NamedTuple
+from f2s_hpc.materials import flow_stress as f
+class Voce(NamedTuple):
+    start: float
+    gain: float
+    rate: float
+def hardening(flow, eps):
+    left = math.exp(-flow.rate * eps)
+    return flow.start + flow.gain * (1.0 - left), 0.0, flow.gain * flow.rate * eps * left, 0.0, 1.0
+f._MODELS[Voce] = (lambda flow, temperature: 1.0, hardening, lambda flow: (1.0, 1.0, 0.0))
+worst, most = 0.0, 0
+for start, gain, rate, eps, excess in 10.0 ** np.random.default_rng(1).uniform(
+        (7, 7, -1, -6, 5), (9, 9, 2.5, 1, 9.5), (400, 5)):
+    flow = Voce(start, gain, rate)
+    trial = hardening(flow, eps)[0] + excess
+    d, stress, steps = f.return_map(flow, trial, 48e9, eps, 1e-10, 300.0, 1e-3)
+    exact = hardening(flow, eps + d)[0]
+    worst, most = max(worst, abs(trial - 144e9 * d - exact) / trial, abs(stress - exact) / trial), max(most, steps)
+print(worst, most)
+"""
+
+
+def test_a_law_of_ones_own_that_is_no_power_is_solved_too():
+    """Voce, entered as README says; its higher derivatives do not follow from the exponent.
+
+    Fails when ``_NEAR`` is 0.1, or ``return_step`` trusts more than a law gives. Without compiling, so that no cache
+    keeps the law.
+    """
+    done = subprocess.run([sys.executable, "-c", OWN_LAW], env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, text=True,
+                          capture_output=True, check=True, timeout=300)
+    worst, steps = map(float, done.stdout.split())
+    assert worst < 1e-6
+    assert steps <= 10

@@ -101,6 +101,19 @@ def test_chain_resumes_until_complete(project):
         "run splat --out runs/c --set a=b c", "resume runs/c", "resume runs/c"]
 
 
+def test_chain_takes_more_cycles_and_a_scene_of_ones_own(project):
+    """Fails if ``link`` hands CYCLES to ``f2s run`` or ``f2s resume`` alone, or OUT is made of the path of SCENE."""
+    write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)
+    write_command(project / ".venv/bin/f2s", 'echo "$*" >>calls; mkdir -p runs/mine-chain/checkpoints; '
+                                             'touch runs/mine-chain/checkpoints/a.json')
+    scene = project / "scenes/mine.toml"
+    for cycles in ("4", "7"):
+        done = bash(["jobs/chain.sh"], project, SCENE=str(scene), CYCLES=cycles)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert (project / "calls").read_text().splitlines() == [
+        f"run {scene} --out runs/mine-chain --set cycles.count=4", "resume runs/mine-chain --set cycles.count=7"]
+
+
 def lost_run(project: pathlib.Path) -> None:
     """Leave what a node leaves that fails before the first checkpoint; stand-ins note the commands."""
     write_command(project / ".venv/bin/mpirun", FAKE_MPIRUN)

@@ -352,6 +352,15 @@ def test_inspect_calls_no_run_interrupted_that_may_go_on(copy, capsys, monkeypat
     assert f"if not, go on with: f2s resume {copy}" in said
 
 
+def test_inspect_tells_how_a_run_that_was_stopped_goes_on(copy, capsys):  # noqa: F811
+    """Fails when ``_standing`` says so of runs alone that were killed."""
+    edit(copy / layout.SUMMARY_JSON, status="timeout")
+    assert main(["inspect", str(copy)]) == 0
+    head, hint, *_ = capsys.readouterr().out.splitlines()
+    assert ": stopped early, " in head
+    assert hint == f"go on with: f2s resume {copy}"
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("place", [layout.CHECKPOINTS, layout.FRAMES])
 def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(copy, capsys, monkeypatch, place):  # noqa: F811

@@ -136,7 +136,7 @@ def test_a_profile_is_read_in_its_unit(tmp_path, unit, factor):
 @pytest.mark.parametrize(("text", "said"), [
     ("x,height\n1,2\n", "first line"), ("x_um,height_um\n1,2\n2,oops\n3,4\n", "row 2: height_um is 'oops'"),
     ("x_um,height_um\n1,2\n2,3\n", "at least three"), ("x_um,height_um\n1,2\n1,3\n2,3\n", "x of its own"),
-    ("x_um;height_um\n1,5;2\n2;3\n3;4\n", "separated by semicolons"),
+    ("x_um;height_um\n1,5;2\n2;3 um\n3;4\n", "row 2: height_um is '3 um'"),
     ('x_um,height_um\n1,"' + 200000 * "2", "quote left open"),
     ("", "first line"), ("x_um,height_um\n1,2\n2\n3,4\n", "row 2"), ("x_um,height_um\n1,nan\n2,1\n3,4\n", "row 1")])
 def test_a_wrong_profile_is_one_clear_line(tmp_path, text, said):

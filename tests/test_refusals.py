@@ -151,3 +151,13 @@ def test_ctrl_c_asks_for_a_stop_once():
     finally:
         for number, handler in zip(numbers, before):
             signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("arguments", [["run", "splat"], ["resume", "out"]])
+def test_single_ranks_of_a_foreign_launcher_do_not_race_for_a_folder(tmp_path, run_f2s, arguments):
+    """Two processes that each believe to be alone: none of them runs. Fails if ``ranks_together`` is not called."""
+    done = run_f2s(arguments, environment={"PMI_SIZE": "2", "PMI_RANK": "1"})
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"f2s {arguments[0]}: 2 processes were started together, but MPI tells each")
+    assert not os.listdir(tmp_path)

@@ -341,7 +341,7 @@ BAD = {
     "infinite": (HEAD + "20,600,inf,2\n" + rows(), "row 1: lateral position is 'inf'"),
     "negative": (HEAD + rows(2) + "\n# a remark\n-3,600,1,2\n", "row 3: diameter is -3, but must be positive"),
     "standing": (HEAD + rows(2) + "3,0,1,2\n", "row 3: velocity is 0, but must be positive"),
-    "semicolons": (HEAD.replace(",", ";") + "20;600;0,1;2\n", "separated by semicolons"),
+    "semicolons": (HEAD.replace(",", ";") + "20;600;0,1;2\n", "1 particles; at least 20 are needed"),
     "decimal commas": (HEAD + rows(2) + "20,1,600,2,0,1,2,0\n", "row 3: 8 values, but the header has 4 columns; do"),
     "short row": (HEAD + rows(4) + "20,600,1\n", "row 5: 3 values, but the header has 4 columns"),
     "too few": (HEAD + rows(19), "19 particles; at least 20 are needed"),

@@ -177,6 +177,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from f2s_hpc.cli import needs, tasks
     needs.solver("run")
+    needs.ranks_together("run")
     scene = tasks.load(arguments.scene, arguments.overrides)
     if arguments.out == "":
         raise InputError("--out: names no folder; is a variable empty? leave it out for runs/<scene>")
@@ -187,6 +188,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _resume(arguments: argparse.Namespace) -> int:
     from f2s_hpc.cli import needs, tasks
     needs.solver("resume")
+    needs.ranks_together("resume")
     return tasks.resume(arguments.folder, arguments.overrides, arguments.started)
 
 

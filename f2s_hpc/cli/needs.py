@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from f2s_hpc import mpi
+from f2s_hpc import mpi, one_rank
 from f2s_hpc.errors import InputError
 from f2s_hpc.grid import petsc
 
@@ -24,3 +24,16 @@ def _failure() -> str:
     except (ImportError, OSError, RuntimeError) as error:
         return f"petsc4py does not load ({' '.join(str(error).split()) or type(error).__name__})"
     return ""
+
+
+def ranks_together(command: str) -> None:
+    """Raise ``InputError`` where a launcher started several processes, but MPI tells each that it is alone.
+
+    Its ``mpirun`` is another MPI's than mpi4py's, or ``srun`` speaks another protocol: each would do the whole work,
+    and all but one find a folder that is in use.
+    """
+    launched = one_rank.launched_size()
+    if launched > 1 and mpi.size() == 1:
+        raise InputError(f"f2s {command}: {launched} processes were started together, but MPI tells each that it is "
+                         "alone: take the mpirun of the MPI that mpi4py was built with ('f2s doctor' names it), "
+                         "under SLURM also srun --mpi=pmix")

@@ -23,14 +23,16 @@ ROUNDED = 0.01
 
 LATE = 0.1
 """If a larger share of a batch than this comes too late, its cycle is worth a note."""
+LOST = 0.05
+"""If a larger share of the powder than this leaves through a side on its way down, that is worth a note."""
 
 
 def scene_notes(scene: Scene, plan: BatchPlan) -> list[str]:
-    """Return a line on each: a box that whole cells change much, coarse cells, numerics for another powder, mirrors
+    """Return a line on each: a box that whole cells change much, coarse cells, numerics for another powder, sides
     that particles fly towards, a box too low for the deposit, cycles too short for the flight.
     """
-    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_other_powder(scene, plan), *_slanted_flight(scene),
-            *_short_of_room(scene, plan)]
+    return [*_rounded_sides(scene), *_coarse_cells(scene, plan), *_other_powder(scene, plan),
+            *_slanted_flight(scene, plan), *_short_of_room(scene, plan)]
 
 
 def median_diameter(scene: Scene, plan: BatchPlan) -> float:
@@ -102,16 +104,41 @@ def _rounded_sides(scene: Scene) -> list[str]:
     return notes
 
 
-def _slanted_flight(scene: Scene) -> list[str]:
-    """Return a line where particles fly towards a mirror: what they would meet behind it comes from there instead."""
-    sides = [f"{axis}_{'low' if part < 0.0 else 'high'}" for axis, part in zip("xy", scene.particles.direction) if part]
-    mirrors = [side for side in sides if getattr(scene.domain.faces, side) in ("symmetry", "fixed")]
-    if not mirrors:
-        return []
-    lean = math.degrees(math.atan2(math.hypot(*scene.particles.direction[:2]), abs(scene.particles.direction[2])))
-    where = " and ".join(f'domain.faces.{side} = "{getattr(scene.domain.faces, side)}"' for side in mirrors)
-    return [(f"particles.direction: leans by {lean:.0f} degrees towards {where}; what reaches a mirror or a wall is "
-             "thrown back by it, so keep what lands away from there, or make the side \"free\"")]
+def _slanted_flight(scene: Scene, plan: BatchPlan) -> list[str]:
+    """Return a line where particles fly towards a mirror, which throws them back, and where they are lost at a side."""
+    direction, faces, crossing = scene.particles.direction, scene.domain.faces, _crossing(scene, plan)
+    towards = {f"{axis}_{'low' if part < 0.0 else 'high'}" for axis, part in zip("xy", direction) if part}
+    lean = math.degrees(math.atan2(math.hypot(*direction[:2]), abs(direction[2])))
+    notes = []
+    for side, share in crossing.items():
+        face, part = f'domain.faces.{side} = "{getattr(faces, side)}"', f"{100.0 * share:.0f} % of the powder"
+        if getattr(faces, side) in ("symmetry", "fixed"):
+            if side in towards:
+                notes.append(f"particles.direction: leans by {lean:.0f} degrees towards {face}; what reaches a mirror "
+                             f"or a wall is thrown back by it, {part} on the way down, so keep what lands away from "
+                             'there, or make the side "free"')
+        elif getattr(faces, side) != "absorbing" and share > LOST:
+            notes.append(f"{part} leave the box through {face} before they come down, and are lost: make the box "
+                         "wider, or the particle layer lower")
+    return notes
+
+
+def _crossing(scene: Scene, plan: BatchPlan) -> dict[str, float]:
+    """Return by each side in turn the share of the powder's volume whose centres cross it above the substrate."""
+    domain, shares = scene.domain, dict.fromkeys(("x_low", "x_high", "y_low", "y_high"), 0.0)
+    cycles = Counter(plan.order)
+    total = sum(float((plan.batches[b].r**3).sum()) * times for b, times in cycles.items())
+    for b, times in cycles.items():
+        batch = plan.batches[b]
+        velocity = np.broadcast_to(scene.particles.velocity, (batch.count, 3)) if batch.velocity is None else (
+            batch.velocity)
+        down = np.maximum(-velocity[:, 2], 1e-12)
+        time = (batch.z + domain.layer_bottom - domain.substrate_height) / down
+        for axis, start, length in (("x", batch.x, domain.extents[0]), ("y", batch.y, domain.extents[1])):
+            end = start + velocity[:, "xy".index(axis)] * time
+            for side, gone in (("low", (end < 0.0) & (start >= 0.0)), ("high", (end > length) & (start <= length))):
+                shares[f"{axis}_{side}"] += float((batch.r[gone]**3).sum()) * times / total
+    return shares
 
 
 def _coarse_cells(scene: Scene, plan: BatchPlan) -> list[str]:

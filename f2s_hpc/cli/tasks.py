@@ -17,7 +17,7 @@ from f2s_hpc.config.schema import Scene
 from f2s_hpc.cycles.lengthen import plan_of_cycles
 from f2s_hpc.cycles.output import RunFolder
 from f2s_hpc.cycles.progress import tell
-from f2s_hpc.cycles.simulation import COMPLETE, RUNNING, Simulation
+from f2s_hpc.cycles.simulation import COMPLETE, RUNNING, TIMEOUT, Simulation
 from f2s_hpc.cycles.tracers import bytes_saved
 from f2s_hpc.errors import CheckpointError, InputError
 from f2s_hpc.grid.box import Box
@@ -318,10 +318,12 @@ def _counted(number: object, noun: str) -> str:
 
 def _standing(folder: str, status: object) -> tuple[object, list[str]]:
     """Return how the run in ``folder`` stands, and what to do then; ``status``: what it said last."""
-    if status != RUNNING or (busy := runs.at_work(folder)):
+    if status not in (RUNNING, TIMEOUT) or (busy := runs.at_work(folder)):
         return status, []
     go_on = (f"go on with: f2s resume {shlex.quote(str(folder))}" if runs.has_checkpoint(pathlib.Path(folder)) else
              "it has no checkpoint to go on from; remove it and run it anew")
+    if status == TIMEOUT:
+        return "stopped early", [go_on]
     if busy is None:
         return "running, or interrupted", [f"whether it is still at work cannot be told from here; if not, {go_on}"]
     return "interrupted", [f"nothing is at work in it any more; {go_on}"]

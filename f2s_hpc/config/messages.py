@@ -110,7 +110,7 @@ def _guesses(loc: Location) -> list[str]:
     close = [s for s in siblings if s.lower() == word.lower()] or difflib.get_close_matches(word, siblings, 1, 0.6)
     if close:
         return [f"{prefix}.{close[0]}" if prefix else close[0]]
-    return [key for key in dict.fromkeys(all_keys()) if key.rpartition(".")[2] == word][:1]
+    return [key for key in dict.fromkeys(all_keys()) if key.rpartition(".")[2] == word and key != path][:1]
 
 
 def unit_of(kind: object, metadata: Iterable[object] = ()) -> Unit | None:
@@ -157,6 +157,8 @@ def _explain(problem: ErrorDetails) -> tuple[str, str]:
         guesses = _guesses(loc)
         possible = list(owner.model_fields) if owner else []
         hint = f'did you mean "{guesses[0]}"?' if guesses else f"possible here: {', '.join(possible)}"
+        if key in all_keys():
+            hint = f"another model has it; possible here: {', '.join(possible)}"
         return key, f'unknown key "{key}"; {hint}'
     if kind == "missing":
         return key, _missing(loc, key)
@@ -176,5 +178,7 @@ def _explain(problem: ErrorDetails) -> tuple[str, str]:
         word, bound = _BOUNDS[kind]
         return key, f"{shown}: must be {word} {_bound(loc, context[bound])}"
     if kind in _KINDS:
-        return key, f"{shown}: must be {_KINDS[kind]}"
+        # (what TOML cannot read as a list is taken for a text)
+        more = ", each text in it in quotes" if kind == "tuple_type" and str(problem["input"]).startswith("[") else ""
+        return key, f"{shown}: must be {_KINDS[kind]}{more}"
     return key, f"{shown}: {problem['msg']}"

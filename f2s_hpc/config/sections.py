@@ -59,7 +59,9 @@ class Domain(Section):
     cell_size: PositiveLength = Field(description="edge length of the cubic cells, m")
     substrate_height: LengthOrZero = Field(description="height of the substrate, m")
     particle_layer_height: PositiveLength = Field(description="height of the particle layer at the top, m")
-    faces: Faces = Field(default_factory=Faces, description="condition on each side")
+    faces: Faces = Field(default_factory=Faces, description=(
+        "condition on each side; symmetry: a mirror, fixed: a wall that holds what touches it, free: nothing, so that "
+        "material may leave and is lost (outflow is another name of it), absorbing: more of the same material"))
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -291,7 +293,9 @@ class Output(Section):
     """What is written while running."""
 
     fields: tuple[str, ...] = Field(default=fields.SHOWN, min_length=1,
-                                    description=f"fields of the frames; there are {', '.join(POSSIBLE_FIELDS)}")
+                                    description=(
+        f"fields of the frames; there are {', '.join(POSSIBLE_FIELDS)}; stress_ is the deviatoric stress, the whole "
+        "along x is stress_xx - pressure"))
     frames: Literal["cycle", "none"] = Field(default="cycle", description="a frame after each cycle, or none")
     frame_interval: Time | None = Field(default=None, examples=["50 ns"],
                                         description="simulated time between extra frames, s")

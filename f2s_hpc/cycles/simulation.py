@@ -330,12 +330,14 @@ class Simulation:
         # (none as long as nothing has landed)
         p50 = f" PEEQ {row['peeq_p50']:.2f}," if row["peeq_p50"] is not None else ""
         t50 = f" {row['temperature_p50_degC']:.0f} degC," if row["temperature_p50_degC"] is not None else ""
+        left = row["mass_left_kg"] / max(row["painted_volume_m3"] * self.scene.material.density, 1e-300)
         self.progress.say(
             f"cycle {self.cycle}/{self.scene.cycles.count} done: {count_text(row['particles'], 'particle')}, dense "
             f"height {1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
             f"{1e6 * row['height_max_m']:.1f} um,{p50}{t50} loss "
             f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
-            + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else ""))
+            + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else "")
+            + (f", left the box: {100 * left:.1f} % of the powder's mass" if left >= 5e-4 else ""))
 
     def _follow(self, dt: float, displaced: bool) -> None:
         """Move the tracers with the nodes."""
