@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 
-from f2s_hpc.units import pretty
+from f2s_hpc.units import count_text, pretty
 
 ETA_SHARE = 0.02
 """Share of a session's work after which the rest can be foretold; the first steps say little about it."""
@@ -17,6 +17,21 @@ def clock_text(seconds: float) -> str:
     """Return a duration as h:mm:ss."""
     whole = int(round(seconds))
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+def cycle_text(row: dict, cycles: int, density: float) -> str:
+    """Return the line at the end of a cycle: ``row`` of the cycle table, one of ``cycles``; ``density`` in kg/m3."""
+    unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
+    left = row["mass_left_kg"] / max(row["painted_volume_m3"] * density, 1e-300)
+    # (none as long as nothing has landed)
+    p50 = f" PEEQ {row['peeq_p50']:.2f}," if row["peeq_p50"] is not None else ""
+    t50 = f" {row['temperature_p50_degC']:.0f} degC," if row["temperature_p50_degC"] is not None else ""
+    return (f"cycle {row['cycle']}/{cycles} done: {count_text(row['particles'], 'particle')}, dense height "
+            f"{1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
+            f"{1e6 * row['height_max_m']:.1f} um,{p50}{t50} loss {100 * row['numerical_loss_fraction']:.1f} %, "
+            f"unexplained {100 * unexplained:.2f} %"
+            + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else "")
+            + (f", left the box: {100 * left:.1f} % of the powder's mass" if left >= 5e-4 else ""))
 
 
 def silence() -> None:

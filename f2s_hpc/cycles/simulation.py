@@ -18,7 +18,7 @@ from f2s_hpc.cycles.finite import refuse_what_is_not_finite
 from f2s_hpc.cycles.insert import InsertReport, paint_substrate
 from f2s_hpc.cycles.output import BATCHES, RunFolder
 from f2s_hpc.cycles.pause import Pause
-from f2s_hpc.cycles.progress import Progress
+from f2s_hpc.cycles.progress import Progress, cycle_text
 from f2s_hpc.cycles.spent import Spent, peak_memory, process_age
 from f2s_hpc.cycles.stop import StopRequest
 from f2s_hpc.cycles.supply import Supply
@@ -34,7 +34,6 @@ from f2s_hpc.particles.plan import BatchPlan, plan_digest
 from f2s_hpc.phases import phase
 from f2s_hpc.solver.step import Clock, advance
 from f2s_hpc.solver.timestep import SAVE, STOP
-from f2s_hpc.units import count_text
 from f2s_hpc.workload.balance import balance_and_growth
 
 REMAPS_PER_RELEASE = 64
@@ -326,18 +325,7 @@ class Simulation:
         if output.picture_each_cycle and self.cycle < self.scene.cycles.count:
             self.folder.draw(self.rows, self.plan)
         trim_heap()
-        unexplained = row["energy"]["remainder"] / max(row["energy"]["brought_in"], 1e-300)
-        # (none as long as nothing has landed)
-        p50 = f" PEEQ {row['peeq_p50']:.2f}," if row["peeq_p50"] is not None else ""
-        t50 = f" {row['temperature_p50_degC']:.0f} degC," if row["temperature_p50_degC"] is not None else ""
-        left = row["mass_left_kg"] / max(row["painted_volume_m3"] * self.scene.material.density, 1e-300)
-        self.progress.say(
-            f"cycle {self.cycle}/{self.scene.cycles.count} done: {count_text(row['particles'], 'particle')}, dense "
-            f"height {1e6 * row['dense_height_m']:.1f} um, surface mean {1e6 * row['height_mean_m']:.1f} max "
-            f"{1e6 * row['height_max_m']:.1f} um,{p50}{t50} loss "
-            f"{100 * row['numerical_loss_fraction']:.1f} %, unexplained {100 * unexplained:.2f} %"
-            + (f", {row['particles_in_flight']} still in flight" if row["particles_in_flight"] else "")
-            + (f", left the box: {100 * left:.1f} % of the powder's mass" if left >= 5e-4 else ""))
+        self.progress.say(cycle_text(row, self.scene.cycles.count, self.scene.material.density))
 
     def _follow(self, dt: float, displaced: bool) -> None:
         """Move the tracers with the nodes."""
