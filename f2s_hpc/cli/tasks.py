@@ -101,9 +101,9 @@ def _balance_line(balance: Balance) -> str:
 def run(scene: Scene, out: str, started: float | None = None) -> int:
     """Run a scene into the new folder ``out``; return the exit code. ``started``: see ``StopRequest``."""
     place = runs.check_new_folder(out)
-    _announce_compiling()
     plan = mpi.run_together(make_batches, scene)
     decomposition_fits(scene)
+    _announce_compiling()  # (bad input is one line)
     # a run that cannot be set up leaves no folder that would pass for one that holds a run
     simulation = Simulation(scene, place, plan, started)
     folder = runs.prepare_run_folder(out)
