@@ -344,16 +344,21 @@ def test_overlapping_blocks_do_not_read_back(folder):
 
 
 @pytest.mark.mpi
-def test_crash_before_the_manifest_leaves_the_older_one(folder, monkeypatch):
+def test_failure_before_the_manifest_leaves_the_older_one(folder, monkeypatch):
+    """Of a full disk nothing is left, of a crash a file that does not count. Fails when ``finish`` removes nothing."""
     older = checkpoint.write_checkpoint(folder, 1, my_blocks(), {"step": 1})
 
-    def crash(*_):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint, "write_manifest", crash)
+    monkeypatch.setattr(checkpoint, "write_manifest", full)
     with pytest.raises(CheckpointError, match="No space left"):
         checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 2})
     monkeypatch.undo()
+    mpi.barrier()
+    assert sorted(folder.iterdir()) == [older, manifest.manifest_path(older)]
+    killed = checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 1})
+    on_root(manifest.manifest_path(killed).unlink)
     path, skipped = checkpoint.newest_valid_checkpoint(folder)
     assert path == older
     assert "never finished" in skipped[0]

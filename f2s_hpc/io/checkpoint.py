@@ -75,8 +75,13 @@ def write_checkpoint(folder: str | os.PathLike, cycle: int, blocks: Sequence[Blo
         raise
 
     def finish() -> None:
-        layout.publish(partial, path)
-        write_manifest(path, blocks, expected, text, archived)
+        try:
+            layout.publish(partial, path)
+            write_manifest(path, blocks, expected, text, archived)
+        except OSError:
+            for file in (manifest_path(path), path, partial):
+                file.unlink(missing_ok=True)
+            raise
 
     attempt_on_root(finish, context, CheckpointError)
     return path
