@@ -14,6 +14,7 @@ import pytest
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import CheckpointError, InputError
+from f2s_hpc.grid.pages import real_bytes
 from f2s_hpc.io import checkpoint, layout, manifest, runs
 from f2s_hpc.io.layout import Block
 
@@ -107,6 +108,18 @@ def test_read_on_another_decomposition(folder, written, read):
     arrays, _ = checkpoint.read_checkpoint(path, requests(read))
     for block in my_blocks(read):
         assert equal_bits(block.data, arrays[block.name])
+
+
+@pytest.mark.mpi
+def test_what_is_void_takes_no_memory_when_it_is_read(folder):
+    """A run of a mostly void box is resumed in the memory that it ran in. Fails with ``dataset[...]`` as it is read."""
+    shape, whole = (200, 40, 64), (200, 40, 64 * mpi.size())
+    data = np.zeros(shape)
+    data[3], data[5, 0, 0] = 1.5, -0.0
+    path = checkpoint.write_checkpoint(folder, 1, [Block("mass", data, (0, 0, 64 * mpi.rank()), whole)], {})
+    found = checkpoint.read_checkpoint(path, {"mass": ((0, 0, 64 * mpi.rank()), shape)})[0]["mass"]
+    assert real_bytes(found) < data.nbytes / 20
+    assert equal_bits(found, data)
 
 
 @pytest.mark.mpi

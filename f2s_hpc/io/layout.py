@@ -50,7 +50,7 @@ PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
 CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
 FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
 LARGEST_CHUNK = 64
-AT_ONCE = 2**20  # values that are written or read back at once, so that no copy of a whole field is made
+AT_ONCE = 2**20  # values that a rank writes or reads at once, so that no copy of a whole field is made
 SPARE_BYTES = 200_000
 _UNCLOSED: list[tuple[h5py.File, list[h5py.Dataset]]] = []
 _KEEP_SIZE = 1  # FALLOC_FL_KEEP_SIZE of fallocate(2)
@@ -193,14 +193,16 @@ def as_type(data: np.ndarray, dtype: np.dtype | str) -> np.ndarray:
         return np.ascontiguousarray(data, dtype=dtype)
 
 
-def slabs(dataset: h5py.Dataset, first: int = 0, end: int | None = None) -> Iterator[tuple[int, int]]:
+def slabs(dataset: h5py.Dataset, first: int = 0, end: int | None = None,
+          width: int | None = None) -> Iterator[tuple[int, int]]:
     """Yield ranges of planes that cover a dataset, or its planes ``first`` to ``end``, ``AT_ONCE`` values each.
 
-    Of a whole dataset they are alike on all ranks, and of whole chunks.
+    ``width``: how many values of a plane are meant (default: all). Of a whole dataset the ranges are of whole chunks.
     """
     end = dataset.shape[0] if end is None else end
+    width = math.prod(dataset.shape[1:]) if width is None else width
     depth = dataset.chunks[0] if dataset.chunks else 1
-    planes = depth * max(1, AT_ONCE // (depth * max(1, math.prod(dataset.shape[1:]))))
+    planes = depth * max(1, AT_ONCE // (depth * max(1, width)))
     for low in range(first, end, planes):
         yield low, min(low + planes, end)
 
@@ -288,10 +290,11 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
             tell_unit(dataset, unit)
 
     try:
-        attempt_on_root(lambda: _reserve(path, size), context, kind)  # (again: opening has emptied it)
+        attempt_on_root(lambda: _reserve(path, size), context, kind)  # (again, of the file itself)
         attempt_together(structure, context, kind)
         for dataset, block in zip(datasets, blocks, strict=True):
-            for slab in slabs(dataset):
+            # (alike on all ranks; each call costs them a meeting, so that they share its values)
+            for slab in slabs(dataset, width=math.prod(dataset.shape[1:]) // mpi.size()):
                 attempt_together(lambda d=dataset, b=block, s=slab: write_collective(d, b, s), context, kind)
         # Open MPI may report success on a full disk, and the flush would then hang.
         attempt_on_root(lambda: _check_space(path.parent, 0), context, kind)
@@ -332,9 +335,8 @@ def _find_room(path: pathlib.Path, size: int) -> None:
     path.touch()
     try:
         _reserve(path, size)
-    except OSError:
+    finally:
         path.unlink()
-        raise
 
 
 def _reserve(path: pathlib.Path, size: int) -> None:
