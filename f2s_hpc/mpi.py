@@ -6,8 +6,10 @@ number of ranks cannot change a bit of the result.
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
+import time
 import traceback
 from types import TracebackType
 from typing import TypeVar
@@ -33,6 +35,9 @@ INSTALLED = MPI is not one_rank.MPI
 """Whether mpi4py is there; without it this is one rank, which can measure what a run left, but not run."""
 
 ROOT = 0
+PATIENCE_S = 600.0
+"""Seconds for which a rank that failed waits for the others."""
+
 DOUBLE = MPI.DOUBLE
 REPLACE = MPI.REPLACE
 Value = TypeVar("Value")
@@ -67,6 +72,31 @@ def say(text: str) -> None:
 def barrier() -> None:
     """Wait for all ranks."""
     MPI.COMM_WORLD.Barrier()
+
+
+@functools.cache
+def _meeting() -> MPI.Intracomm:
+    """Return a communicator that no other call of those who hang can be on. Collective."""
+    return MPI.COMM_WORLD.Dup()
+
+
+def meet(failure: str | None, exit_code: int) -> None:
+    """Wait for all ranks; one with a ``failure`` waits ``PATIENCE_S`` at most, then prints it and ends the job.
+
+    The others then hang in a collective call that it has left, until somebody pays for the wall time of the whole job.
+    """
+    if size() == 1:
+        return
+    request, began = _meeting().Ibarrier(), time.monotonic()
+    if failure is None:
+        request.Wait()
+    while not request.Test():
+        if time.monotonic() - began > PATIENCE_S:
+            sys.stdout.flush()
+            sys.stderr.write(f"f2s: [rank {rank()}] {failure}; the other ranks do not come: job aborted\n")
+            sys.stderr.flush()
+            MPI.COMM_WORLD.Abort(exit_code)
+        time.sleep(0.01)
 
 
 def broadcast(value: Value) -> Value:
@@ -163,10 +193,11 @@ def install_abort_hook() -> None:
     """Make an uncaught exception on any rank end the whole job instead of hanging the others.
 
     ``python -m mpi4py`` does not do this once petsc4py is imported, hence a hook of our own. What the system refuses (a
-    place, memory) is one line and the exit code of wrong input, as on one rank.
+    place, memory) is one line and the exit code of wrong input, as on one rank. Collective.
     """
     if size() == 1:
         return
+    _meeting()  # (while nobody hangs)
 
     def abort(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.stdout.flush()

@@ -14,6 +14,7 @@ import pytest
 
 from f2s_hpc import mpi
 from f2s_hpc.errors import CheckpointError, InputError
+from f2s_hpc.grid.pages import real_bytes
 from f2s_hpc.io import checkpoint, layout, manifest, runs
 from f2s_hpc.io.layout import Block
 
@@ -107,6 +108,18 @@ def test_read_on_another_decomposition(folder, written, read):
     arrays, _ = checkpoint.read_checkpoint(path, requests(read))
     for block in my_blocks(read):
         assert equal_bits(block.data, arrays[block.name])
+
+
+@pytest.mark.mpi
+def test_what_is_void_takes_no_memory_when_it_is_read(folder):
+    """A run of a mostly void box is resumed in the memory that it ran in. Fails with ``dataset[...]`` as it is read."""
+    shape, whole = (200, 40, 64), (200, 40, 64 * mpi.size())
+    data = np.zeros(shape)
+    data[3], data[5, 0, 0] = 1.5, -0.0
+    path = checkpoint.write_checkpoint(folder, 1, [Block("mass", data, (0, 0, 64 * mpi.rank()), whole)], {})
+    found = checkpoint.read_checkpoint(path, {"mass": ((0, 0, 64 * mpi.rank()), shape)})[0]["mass"]
+    assert real_bytes(found) < data.nbytes / 20
+    assert equal_bits(found, data)
 
 
 @pytest.mark.mpi
@@ -344,16 +357,21 @@ def test_overlapping_blocks_do_not_read_back(folder):
 
 
 @pytest.mark.mpi
-def test_crash_before_the_manifest_leaves_the_older_one(folder, monkeypatch):
+def test_failure_before_the_manifest_leaves_the_older_one(folder, monkeypatch):
+    """Of a full disk nothing is left, of a crash a file that does not count. Fails when ``finish`` removes nothing."""
     older = checkpoint.write_checkpoint(folder, 1, my_blocks(), {"step": 1})
 
-    def crash(*_):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(checkpoint, "write_manifest", crash)
+    monkeypatch.setattr(checkpoint, "write_manifest", full)
     with pytest.raises(CheckpointError, match="No space left"):
         checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 2})
     monkeypatch.undo()
+    mpi.barrier()
+    assert sorted(folder.iterdir()) == [older, manifest.manifest_path(older)]
+    killed = checkpoint.write_checkpoint(folder, 2, my_blocks(), {"step": 1})
+    on_root(manifest.manifest_path(killed).unlink)
     path, skipped = checkpoint.newest_valid_checkpoint(folder)
     assert path == older
     assert "never finished" in skipped[0]

@@ -30,8 +30,11 @@ def one_line(capsys) -> str:
 
 @pytest.mark.mpi
 @pytest.mark.parametrize(("override", "said"), [
-    ('domain.cell_size="1e-300 m"', "cells, 2.15e+09 are possible"),
-    ('domain.cell_size="1e-320 m"', "cells, 2.15e+09 are possible"),
+    ('domain.cell_size="1e-300 m"', "nodes, 2.147e+09 are possible"),
+    ('domain.cell_size="1e-320 m"', "nodes, 2.147e+09 are possible"),
+    # (fewer cells than that, but more nodes)
+    (('domain={size=["1.29 mm", "1.29 mm", "1.29 mm"], cell_size="1 um", substrate_height="60 um", '
+      'particle_layer_height="100 um"}'), "gives 2.152e+09 nodes, 2.147e+09 are possible"),
     ("material.poisson_ratio=0.4999999999999999", "3e+08 are possible"),
     ('material.density="8960 g/cm3"', "must be at most 30000 kg/m3; is its unit right?"),
     ('material.density="1e-300 kg/m3"', "must be at least 100 kg/m3"),

@@ -8,10 +8,12 @@ import json
 import pathlib
 import shutil
 
+import h5py
 import numpy as np
 import pytest
 from conftest import f2s
 
+from f2s_hpc import mpi
 from f2s_hpc.cli.main import main
 from f2s_hpc.cycles.tracers import PLACES
 from f2s_hpc.errors import F2SError
@@ -272,3 +274,28 @@ def test_analyse_and_report_show_both_ways(one_rank, tmp_path, capsys):
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "by tracers" in page
     assert "Every particle" in page
+
+
+@pytest.mark.mpi
+def test_room_is_looked_for_for_all_of_a_file_of_points(shared_path, monkeypatch):
+    """Fails when the vertices, or the particles, are written by rank 0 beside the blocks: nothing asks for their room,
+    and a rank that finds none leaves the others in a call.
+    """
+    asked, reserve = [], layout._reserve
+    monkeypatch.setattr(layout, "_reserve", lambda path, size: (asked.append(size), reserve(path, size)))
+    count = 20_000
+    first, end = (count * r // mpi.size() for r in (mpi.rank(), mpi.rank() + 1))
+    particle = np.arange(first, end)
+    zero = np.zeros(end - first)
+    table = ParticleTable(np.arange(1.0, count + 1.0), np.zeros((count, 3)), np.zeros(count), np.zeros(count, bool))
+    if mpi.is_root():
+        (shared_path / layout.TRACERS).mkdir()
+    mpi.barrier()
+    cloud = TracerCloud(0.0, particle, np.zeros((end - first, 3)), zero, zero, zero, table, (first, count))
+    path = write_tracers(shared_path, 1, cloud, {})
+    if mpi.is_root():
+        assert path.stat().st_size < asked[0] + 50_000
+        with h5py.File(path, "r") as file:
+            assert np.array_equal(file["VTKHDF/Vertices/Offsets"], np.arange(count + 1))
+            assert np.array_equal(file["VTKHDF/Vertices/Connectivity"], np.arange(count))
+        assert np.array_equal(read_tracers(shared_path, 1).particles.diameter, table.diameter)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import pathlib
 import sys
 import time
@@ -310,4 +311,9 @@ def entry() -> None:
         # (a terminal without Greek letters and arrows shows ? for them)
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    sys.exit(main(sys.argv[1:]))
+    code = main(sys.argv[1:])
+    if "f2s_hpc.io.layout" in sys.modules and sys.modules["f2s_hpc.io.layout"].unclosed():
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # (HDF5 must not try again)
+    sys.exit(code)

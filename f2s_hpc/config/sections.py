@@ -27,7 +27,7 @@ Face = Literal["symmetry", "fixed", "free", "outflow", "absorbing"]
 DERIVED_FIELDS = tuple(f.name for f in fields.DERIVED)
 POSSIBLE_FIELDS = tuple(f.name for f in fields.FIELDS if f.saved) + DERIVED_FIELDS
 LEAST_TRACERS = 10
-MAX_CELLS = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
+MAX_NODES = 2**31 - 1  # PETSc of the distributions counts with 32-bit integers
 
 
 def length_text(value: float) -> str:
@@ -84,9 +84,9 @@ class Domain(Section):
         if self.cell_size > smallest:
             raise wrong("cell_size", f"is larger than the box ({length_text(smallest)} in its shortest direction)")
         edges = max(self.size) / self.cell_size  # (the rounding to whole cells knows no infinity)
-        count = math.prod(self.cells) if edges <= MAX_CELLS else edges
-        if count > MAX_CELLS:
-            raise wrong("cell_size", f"gives {count:.3g} cells, {MAX_CELLS:.3g} are possible; is its unit right?")
+        nodes = math.prod(n + 1 for n in self.cells) if edges <= MAX_NODES else edges
+        if nodes > MAX_NODES:
+            raise wrong("cell_size", f"gives {nodes:.4g} nodes, {MAX_NODES:.4g} are possible; is its unit right?")
         if self.substrate_height >= height:
             raise wrong("substrate_height", f"must be lower than the box ({length_text(height)})")
         room = height - self.substrate_height

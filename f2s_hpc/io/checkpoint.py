@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import pathlib
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,7 @@ import numpy as np
 
 from f2s_hpc import mpi, places
 from f2s_hpc.errors import CheckpointError, F2SError, InputError
+from f2s_hpc.grid.pages import sparse_zeros
 from f2s_hpc.io import layout
 from f2s_hpc.io.layout import ATTRIBUTES, FIELDS_GROUP, Block, attempt_on_root, attempt_together, box_selection
 from f2s_hpc.io.manifest import (
@@ -75,8 +77,13 @@ def write_checkpoint(folder: str | os.PathLike, cycle: int, blocks: Sequence[Blo
         raise
 
     def finish() -> None:
-        layout.publish(partial, path)
-        write_manifest(path, blocks, expected, text, archived)
+        try:
+            layout.publish(partial, path)
+            write_manifest(path, blocks, expected, text, archived)
+        except OSError:
+            for file in (manifest_path(path), path, partial):
+                file.unlink(missing_ok=True)
+            raise
 
     attempt_on_root(finish, context, CheckpointError)
     return path
@@ -151,8 +158,8 @@ def _tile(requests: Mapping[str, Box], manifest: Manifest) -> bool:
 def read_checkpoint(path: str | os.PathLike, requests: Mapping[str, Box]) -> tuple[dict[str, np.ndarray], dict]:
     """Return this rank's boxes of the fields, float64 [k, j, i], and the attributes (same on all ranks).
 
-    ``requests`` maps a field to (start, shape), both (k, j, i). When the boxes of all ranks tile every
-    field, the checksums are taken of what was read; else the file is verified by a pass of its own.
+    ``requests`` maps a field to (start, shape), both (k, j, i). Planes of zeros take no memory. When the boxes of all
+    ranks tile every field, the checksums are taken of what was read; else the file is verified by a pass of its own.
     Raises ``CheckpointError`` on all ranks when the file is damaged, or a field or box is not in it.
     """
     path = pathlib.Path(path)
@@ -165,7 +172,7 @@ def read_checkpoint(path: str | os.PathLike, requests: Mapping[str, Box]) -> tup
 
     def read() -> dict[str, np.ndarray]:
         with h5py.File(path, "r") as file:
-            return {name: np.ascontiguousarray(file[f"{FIELDS_GROUP}/{name}"][box_selection(start, shape)])
+            return {name: _read_box(file[f"{FIELDS_GROUP}/{name}"], start, shape)
                     for name, (start, shape) in requests.items()}
 
     arrays = attempt_together(read, f"{path}: damaged checkpoint", CheckpointError)
@@ -178,6 +185,16 @@ def read_checkpoint(path: str | os.PathLike, requests: Mapping[str, Box]) -> tup
             if record.checksum != as_text(checksum):
                 raise CheckpointError(f"{path}: damaged checkpoint: field {name!r} has another checksum")
     return arrays, attributes
+
+
+def _read_box(dataset: h5py.Dataset, start: Sequence[int], shape: Sequence[int]) -> np.ndarray:
+    """Return the box of ``shape`` at ``start``; what is void in it takes as little memory as in a run."""
+    found = sparse_zeros(shape)
+    for low, high in layout.slabs(dataset, start[0], start[0] + shape[0], math.prod(shape[1:])):
+        part = dataset[box_selection((low, *start[1:]), (high - low, *shape[1:]))]
+        for k in np.flatnonzero(part.view(np.uint64).any(axis=(1, 2))):  # (-0 is something too)
+            found[low - start[0] + k] = part[k]
+    return found
 
 
 def _unfit(path: pathlib.Path, requests: Mapping[str, Box], manifest: Manifest) -> str | None:

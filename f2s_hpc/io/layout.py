@@ -18,6 +18,8 @@ Readers never see a file that is being written: it carries another name until it
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import json
 import math
 import os
@@ -48,9 +50,10 @@ PROVENANCE_GROUP, PROVENANCE = "f2s", "f2s/provenance"
 CHECKPOINT_NAME = re.compile(r"checkpoint_cycle_(\d+)_step_(\d+)(?:_(\d+))?\.h5")
 FRAME_NAME = re.compile(r"frame_(\d+)\.vtkhdf")
 LARGEST_CHUNK = 64
-AT_ONCE = 2**20  # values that are written or read back at once, so that no copy of a whole field is made
+AT_ONCE = 2**20  # values that a rank writes or reads at once, so that no copy of a whole field is made
 SPARE_BYTES = 200_000
-_UNCLOSED: list[h5py.File] = []
+_UNCLOSED: list[tuple[h5py.File, list[h5py.Dataset]]] = []
+_KEEP_SIZE = 1  # FALLOC_FL_KEEP_SIZE of fallocate(2)
 
 Shape = tuple[int, int, int]
 
@@ -112,7 +115,11 @@ def encode_json(values: dict) -> str:
 
 
 def raise_together(failure: str | None, kind: type[F2SError] = F2SError) -> None:
-    """Raise ``kind`` on all ranks, with the first rank's message, if any rank has a ``failure``."""
+    """Raise ``kind`` on all ranks, with the first rank's message, if any rank has a ``failure``.
+
+    Ends the job where the others do not come: they may wait in HDF5 for a rank that has left it with an error.
+    """
+    mpi.meet(failure, kind.exit_code)
     found = [message for message in mpi.all_gather(failure) if message is not None]
     if found:
         raise kind(found[0])
@@ -186,14 +193,16 @@ def as_type(data: np.ndarray, dtype: np.dtype | str) -> np.ndarray:
         return np.ascontiguousarray(data, dtype=dtype)
 
 
-def slabs(dataset: h5py.Dataset, first: int = 0, end: int | None = None) -> Iterator[tuple[int, int]]:
+def slabs(dataset: h5py.Dataset, first: int = 0, end: int | None = None,
+          width: int | None = None) -> Iterator[tuple[int, int]]:
     """Yield ranges of planes that cover a dataset, or its planes ``first`` to ``end``, ``AT_ONCE`` values each.
 
-    Of a whole dataset they are alike on all ranks, and of whole chunks.
+    ``width``: how many values of a plane are meant (default: all). Of a whole dataset the ranges are of whole chunks.
     """
     end = dataset.shape[0] if end is None else end
+    width = math.prod(dataset.shape[1:]) if width is None else width
     depth = dataset.chunks[0] if dataset.chunks else 1
-    planes = depth * max(1, AT_ONCE // (depth * max(1, math.prod(dataset.shape[1:]))))
+    planes = depth * max(1, AT_ONCE // (depth * max(1, width)))
     for low in range(first, end, planes):
         yield low, min(low + planes, end)
 
@@ -211,7 +220,11 @@ def write_collective(dataset: h5py.Dataset, block: Block, slab: tuple[int, int])
     collective write.
     """
     part, start = in_slab(block, slab)
-    data = as_type(part, dataset.dtype)
+    data, failure = part[:0], None
+    try:
+        data = as_type(part, dataset.dtype)
+    except MemoryError as error:  # (the others are in the call below, or will be)
+        failure = error
     file_space = dataset.id.get_space()
     memory_space = h5py.h5s.create_simple(data.shape if data.size else (1, 1, 1))
     if data.size:
@@ -224,11 +237,13 @@ def write_collective(dataset: h5py.Dataset, block: Block, slab: tuple[int, int])
     if mpi.size() > 1:
         transfer.set_dxpl_mpio(h5py.h5fd.MPIO_COLLECTIVE)
     dataset.id.write(memory_space, file_space, data, dxpl=transfer)
+    if failure is not None:
+        raise failure
 
 
 def write_text(file: h5py.File, name: str, text: str) -> None:
-    """Write a scalar string dataset: created by all ranks, filled by rank 0. ``text`` is rank 0's."""
-    encoded = mpi.broadcast(text).encode("utf-8")
+    """Write a scalar string dataset: created by all ranks, which have the same ``text``, filled by rank 0."""
+    encoded = text.encode("utf-8")
     dataset = file.create_dataset(name, (), dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
     if mpi.is_root():
         dataset[()] = np.bytes_(encoded)
@@ -258,32 +273,37 @@ def write_shared(path: pathlib.Path, places: Sequence[str], blocks: Sequence[Blo
     types = [dtype] * len(blocks) if isinstance(dtype, str) else dtype
     size = sum(np.dtype(t).itemsize * int(np.prod(block.global_shape, dtype=np.int64))
                for t, block in zip(types, blocks, strict=True))
-    attempt_on_root(lambda: _check_space(path.parent, size), context, kind)
+    attempt_on_root(lambda: _find_room(path, size), context, kind)
     file = attempt_together(lambda: open_shared(path, "w"), context, kind)
     chunks = brick(blocks) if compress else [None] * len(blocks)
     filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if compress else {}
 
-    def structure() -> list[h5py.Dataset]:
+    datasets: list[h5py.Dataset] = []
+
+    def structure() -> None:
         prepare(file)
         for name, text in texts.items():
             write_text(file, name, text)
-        made = [file.create_dataset(place, block.global_shape, dtype=t, chunks=chunk, **filters)
-                for place, block, t, chunk in zip(places, blocks, types, chunks, strict=True)]
-        for dataset, unit in zip(made, units):
+        datasets.extend(file.create_dataset(place, block.global_shape, dtype=t, chunks=chunk, **filters)
+                        for place, block, t, chunk in zip(places, blocks, types, chunks, strict=True))
+        for dataset, unit in zip(datasets, units):
             tell_unit(dataset, unit)
-        return made
 
     try:
-        datasets = attempt_together(structure, context, kind)
+        attempt_on_root(lambda: _reserve(path, size), context, kind)  # (again, of the file itself)
+        attempt_together(structure, context, kind)
         for dataset, block in zip(datasets, blocks, strict=True):
-            for slab in slabs(dataset):
+            # (alike on all ranks; each call costs them a meeting, so that they share its values)
+            for slab in slabs(dataset, width=math.prod(dataset.shape[1:]) // mpi.size()):
                 attempt_together(lambda d=dataset, b=block, s=slab: write_collective(d, b, s), context, kind)
         # Open MPI may report success on a full disk, and the flush would then hang.
         attempt_on_root(lambda: _check_space(path.parent, 0), context, kind)
         attempt_together(file.flush, context, kind)
         attempt_together(file.close, context, kind)
+        # what was reserved and not used is given back
+        attempt_on_root(lambda: os.truncate(path, path.stat().st_size), context, kind)
     except F2SError:
-        _abandon(file, path)
+        _abandon(file, path, datasets)
         raise
 
 
@@ -304,7 +324,44 @@ def _check_space(folder: pathlib.Path, size: int) -> None:
         raise OSError(f"it needs {size / 1e6 + SPARE_BYTES / 1e6:.1f} MB, {free / 1e6:.1f} MB are free")
 
 
-def _abandon(file: h5py.File, path: pathlib.Path) -> None:
+def _find_room(path: pathlib.Path, size: int) -> None:
+    """Raise ``OSError`` where a file of ``size`` (bytes) cannot be written: before HDF5 has one open."""
+    _check_space(path.parent, size)
+    import resource  # (not on Windows, where runs are only read)
+    largest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    if largest != resource.RLIM_INFINITY and largest < size + SPARE_BYTES:
+        raise OSError(f"it needs {size / 1e6 + SPARE_BYTES / 1e6:.1f} MB, files of {largest / 1e6:.1f} MB are allowed "
+                      "(ulimit -f)")
+    path.touch()
+    try:
+        _reserve(path, size)
+    finally:
+        path.unlink()
+
+
+def _reserve(path: pathlib.Path, size: int) -> None:
+    """Take the space of a file of ``size`` (bytes) from the file system, which does not change what is in the file.
+
+    What HDF5 cannot write on a full disk it writes again when it closes the file: it crashes, or ranks wait for each
+    other. Free space says little: there may be a quota, or others who write. Raises ``OSError``. A file system that
+    cannot reserve (or another system than Linux) does nothing.
+    """
+    fallocate = getattr(ctypes.CDLL(None, use_errno=True), "fallocate", None)
+    if fallocate is None:
+        return
+    handle = os.open(path, os.O_RDWR)
+    try:
+        ctypes.set_errno(errno.EINTR)
+        while ctypes.get_errno() == errno.EINTR:
+            ctypes.set_errno(0)
+            fallocate(handle, _KEEP_SIZE, ctypes.c_int64(0), ctypes.c_int64(size + SPARE_BYTES))
+        if (code := ctypes.get_errno()) in (errno.ENOSPC, errno.EDQUOT):
+            raise OSError(code, os.strerror(code))
+    finally:
+        os.close(handle)
+
+
+def _abandon(file: h5py.File, path: pathlib.Path, datasets: list[h5py.Dataset]) -> None:
     """Close and remove a file that could not be written, on all ranks.
 
     HDF5 crashes when it closes a file on a full disk, so its space is given back first.
@@ -315,10 +372,15 @@ def _abandon(file: h5py.File, path: pathlib.Path) -> None:
     try:
         file.close()
     except (OSError, RuntimeError):
-        _UNCLOSED.append(file)
+        _UNCLOSED.append((file, datasets))
     mpi.barrier()
     if mpi.is_root():
         path.unlink(missing_ok=True)
+
+
+def unclosed() -> bool:
+    """Tell whether HDF5 still has a file that it could not close, and would crash over at the end of the program."""
+    return bool(_UNCLOSED)
 
 
 def make_durable(path: pathlib.Path) -> None:

@@ -25,6 +25,7 @@ _PARTICLES = ("diameter", "centre", "time", "cut")
 _POINTS = {"Points": "f4", f"{POINT_DATA}/particle": "i4", f"{POINT_DATA}/diameter": "f4",
            f"{POINT_DATA}/volume_fraction": "f4", f"{POINT_DATA}/peeq": "f4", f"{POINT_DATA}/temperature": "f4"}
 _UNITS = ("m", None, "m", "1", "1", "K")
+_VERTICES = {f"{VTK_ROOT}/Vertices/Connectivity": "i8", f"{VTK_ROOT}/Vertices/Offsets": "i8"}
 _NAME = re.compile(r"tracers_(\d+)\.vtkhdf")
 
 
@@ -100,15 +101,11 @@ def write_tracers(folder: str | os.PathLike, cycle: int, cloud: TracerCloud, pro
         return layout.encode_json(provenance)
 
     text = attempt_on_root(begin, context)
-    first, count = cloud.share
-    columns = (cloud.position, cloud.particle, cloud.particles.diameter[cloud.particle], cloud.fraction, cloud.peeq,
-               cloud.temperature)
-    blocks = [Block(name, column, (first, 0)[:column.ndim], (count, *column.shape[1:]))
-              for name, column in zip(_POINTS, columns)]
     partial = layout.partial_path(path)
-    datasets = [f"{VTK_ROOT}/{name}" for name in _POINTS]
+    blocks, types = _blocks(cloud)
+    datasets = [block.name for block in blocks]
     layout.write_shared(partial, datasets, blocks, {PROVENANCE: text}, lambda file: _prepare(file, cycle, cloud),
-                        tuple(_POINTS.values()), False, F2SError, _UNITS)
+                        types, False, F2SError, _UNITS)
     try:
         layout.attempt_together(lambda: layout.read_back(partial, datasets, blocks), context)
     except F2SError:
@@ -118,43 +115,54 @@ def write_tracers(folder: str | os.PathLike, cycle: int, cloud: TracerCloud, pro
     return path
 
 
+def _blocks(cloud: TracerCloud) -> tuple[list[Block], list[str]]:
+    """Return all that grows with the points and the particles, each rank's share of it, and its types in the file."""
+    first, count = cloud.share
+    particle = cloud.particle
+    columns = (cloud.position, particle, cloud.particles.diameter[particle], cloud.fraction, cloud.peeq,
+               cloud.temperature)
+    blocks = [Block(f"{VTK_ROOT}/{name}", column, (first, 0)[:column.ndim], (count, *column.shape[1:]))
+              for name, column in zip(_POINTS, columns)]
+    # a vertex for each point
+    last = mpi.rank() == mpi.size() - 1
+    blocks += [Block(name, np.arange(first, first + particle.size + more * last), (first,), (count + more,))
+               for more, name in enumerate(_VERTICES)]
+    types = [*_POINTS.values(), *_VERTICES.values()]
+    for name in _PARTICLES:
+        array = getattr(cloud.particles, name)
+        own = array if mpi.is_root() else array[:0]
+        blocks.append(Block(f"{_TABLE}/{name}", own, (0, 0)[:array.ndim], array.shape))
+        types.append("i1" if name == "cut" else "f8")
+    return blocks, types
+
+
 def _prepare(file: h5py.File, cycle: int, cloud: TracerCloud) -> None:
-    """Make all but the points' own data: a vertex for each point, no lines or polygons, and the particles."""
+    """Make all that does not grow with the points: of vertices, lines and polygons how many there are."""
     count = cloud.share[1]
     root = file.create_group(VTK_ROOT)
     root.attrs.create("Type", np.bytes_("PolyData"), dtype=h5py.string_dtype("ascii", 8))
     root.attrs["Version"] = np.array((2, 0), dtype=np.int64)
     root.create_group(POINT_DATA)
-    _filled(root, "NumberOfPoints", np.array([count], dtype=np.int64))
+    _filled(root, "NumberOfPoints", [count])
     for kind in ("Vertices", "Lines", "Polygons", "Strips"):
         cells = count if kind == "Vertices" else 0
         group = root.create_group(kind)
-        _filled(group, "NumberOfCells", np.array([cells], dtype=np.int64))
-        _filled(group, "NumberOfConnectivityIds", np.array([cells], dtype=np.int64))
-        _counted(group, "Offsets", cells + 1)
-        _counted(group, "Connectivity", cells)
+        _filled(group, "NumberOfCells", [cells])
+        _filled(group, "NumberOfConnectivityIds", [cells])
+        if not cells:
+            _filled(group, "Offsets", [0])
+            _filled(group, "Connectivity", [])
     own = file.create_group(layout.PROVENANCE_GROUP)
     own.attrs["format"] = np.int64(layout.FORMAT_VERSION)
     own.attrs["cycle"] = np.int64(cycle)
     own.attrs["time_s"] = np.float64(cloud.time)
-    table = file.create_group(_TABLE)
-    for name in _PARTICLES:
-        array = getattr(cloud.particles, name)
-        _filled(table, name, array.astype("i1") if name == "cut" else array)
 
 
-def _filled(group: h5py.Group, name: str, values: np.ndarray) -> None:
-    """Add a dataset: created by all ranks, filled by rank 0."""
-    dataset = group.create_dataset(name, values.shape, dtype=values.dtype)
-    if mpi.is_root() and values.size:
+def _filled(group: h5py.Group, name: str, values: list[int]) -> None:
+    """Add a dataset of some integers: created by all ranks, filled by rank 0."""
+    dataset = group.create_dataset(name, (len(values),), dtype=np.int64)
+    if mpi.is_root() and values:
         dataset[...] = values
-
-
-def _counted(group: h5py.Group, name: str, size: int) -> None:
-    """Add a dataset of the integers from 0 on, which only rank 0 makes."""
-    dataset = group.create_dataset(name, (size,), dtype=np.int64)
-    if mpi.is_root() and size:
-        dataset[...] = np.arange(size, dtype=np.int64)
 
 
 def read_columns(path: pathlib.Path) -> tuple[dict[str, np.ndarray], float]:
