@@ -57,8 +57,8 @@ of the step is below the second with the whole and with half the step, it is not
 LOSSES = ("hourglass", "light_nodes", "remap_kinetic", "remap_elastic", "closing")
 NUMERICAL_TERMS = (*LOSSES, "half_kicks")
 """Energy terms that no physical process takes; the work of the shock viscosity joins them where it is not heated.
-``LOSSES`` must fall with the cells. Half kicks give what remaps make of the forces, for which heat pays; shown without a
-bar (Ge model, single place: 0.316, 0.320, 0.25 and 0.19 % at 8, 12, 18 and 24 cells per diameter)."""
+``LOSSES`` must fall with the cells. Half kicks give what remaps make of the forces, for which heat pays; they are shown
+without a bar (Ge model, single place: 0.316, 0.320, 0.25 and 0.19 % at 8, 12, 18 and 24 cells per diameter)."""
 
 
 def impact_of(options: Options, **changed: float) -> Impact:
