@@ -240,7 +240,7 @@ def test_wrong_override_names_its_key(override, words):
     ('cell_size = "6 um"', 'cell_size = "3 s"', ['domain.cell_size = "3 s"', "a time", "a length is needed", '"3 um"']),
     ('cell_size = "6 um"', 'cell_size = "-3 um"', ['domain.cell_size = "-3 um"', "must be above 0"]),
     ('cell_size = "6 um"', 'cell_size = "1 mm"', ["domain.cell_size is larger than the box", "120 um"]),
-    ('cell_size = "6 um"', 'cell_size = "6 nm"', ["domain.cell_size gives", "cells", "is its unit right"]),
+    ('cell_size = "6 um"', 'cell_size = "6 nm"', ["domain.cell_size gives", "nodes", "is its unit right"]),
     ('cell_size = "6 um"', "cell_size = 6 um", ["not valid TOML", "line 16", "need quotes"]),
     ('cell_size = "6 um"', "", ["domain.cell_size is missing", 'cell_size = "3 um"']),
     ('size = ["0.12 mm", "0.12 mm", "0.3 mm"]', 'size = ["1 mm", "1 mm"]', ["domain.size[2] is missing"]),

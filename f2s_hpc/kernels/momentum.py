@@ -196,7 +196,7 @@ def mark_fast_rows(runs, count, shape, fast, u, v, w, rows):
 
 @kernel
 def exchange_light(runs, count, window, shape, dt, full, strength, limit, fast, rows, weights, free, nodal, u, v, w,
-                   du, dv, dw, lost, quantum, sums):
+                   du, dv, dw, lost, paid, quantum, sums):
     """Write into du, dv, dw, which hold the forces of the kick before, the velocity change (m/s) of the exchange.
 
     A pair of neighbours along an axis shares momentum: along that axis if both are lighter than ``limit`` full nodes
@@ -205,8 +205,9 @@ def exchange_light(runs, count, window, shape, dt, full, strength, limit, fast, 
     pair keeps its momentum and no pair overshoots (strength < 1/6); and what passes along the axis alone leaves a
     body's turning as it is. Adds to ``lost`` each node's half of the kinetic energy that its pairs lose (half full
     nodes (m/s)^2), unless that is an array of one number. So for what those forces do with the change over the half of
-    the step ``dt`` (s) that comes: cells receive it, though no kick gave it. Its sum goes into ``sums`` int64[1], in
-    units of ``quantum`` (J); ``full``: mass of a full node (kg); ``weights``, ``free``: as in :func:`accelerate`.
+    the step ``dt`` (s) that comes, if that is to be ``paid`` (1.0): cells receive it, though no kick gave it. Its sum
+    goes into ``sums`` int64[1], in units of ``quantum`` (J); ``full``: mass of a full node (kg); ``weights``,
+    ``free``: as in :func:`accelerate`.
     ``rows``: which rows hold a node beyond ``fast`` (:func:`mark_fast_rows`); elsewhere only light nodes are looked at.
     """
     ny, nx = shape
@@ -255,7 +256,7 @@ def exchange_light(runs, count, window, shape, dt, full, strength, limit, fast, 
             sums[0] += np.int64(taken * plane * weights[0][i] / quantum)
             if keeps:
                 # sum over pairs of p |du|^2 less sum m |change|^2: what all nodes together lose, in any frame
-                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n])) + 2.0 / full * taken
+                lost[n] += m * (pairs - (du[n] * du[n] + dv[n] * dv[n] + dw[n] * dw[n])) + paid * 2.0 / full * taken
 
 
 @kernel
