@@ -32,12 +32,12 @@ cycles = { count = 1, duration = "20 ns" }
 # Larger cells, and mirrors at the middle of two spheres.
 PRESSED = """
 title = "Pressed"
-domain = { size = ["30 um", "30 um", "60 um"], cell_size = "5 um", substrate_height = "20 um", \
+domain = { size = ["40 um", "40 um", "60 um"], cell_size = "5 um", substrate_height = "20 um", \
 particle_layer_height = "40 um" }
 material = { name = "copper-ge" }
 particles = { speed = "615 m/s", temperature = "450 degC" }
-batches = { spheres = [["0 um", "0 um", "17 um", "15 um"], ["30 um", "30 um", "18 um", "15 um"]] }
-cycles = { count = 1, duration = "60 ns" }
+batches = { spheres = [["0 um", "0 um", "20 um", "19 um"], ["40 um", "40 um", "21 um", "19 um"]] }
+cycles = { count = 1, duration = "70 ns" }
 """
 
 # The same sphere flies out of an open side, a corner of it through an open edge.
