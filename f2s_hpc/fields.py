@@ -112,9 +112,9 @@ STRESS_PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 FORCE = ("force_x", "force_y", "force_z")
 VOLUME_FLUX = FORCE[0]
-"""Each kick is the last to read its forces (a step's first also leaves velocity changes of light nodes in their place).
-From the middle of a step to the forces of its second half, and again in the remap, the volume that passes through faces
-lies in place of the first."""
+"""Each kick is the last to read its forces, but for the exchange of light nodes after a step's first, which leaves the
+changes of velocity in their place. From the middle of a step to the forces of its second half, and again in the remap,
+the volume that passes through faces lies in place of the first."""
 SWEEP = ("sweep_x", "sweep_y", "sweep_z")
 DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
 ORIGIN = "particle_fraction"

@@ -75,7 +75,7 @@ def _late(scene: Scene, batch: Batch, height: float, time: float) -> tuple[float
 
     Only those count that fly downwards.
     """
-    speed = -(np.full(batch.count, scene.particles.velocity[2]) if batch.velocity is None else batch.velocity[:, 2])
+    speed = -batch.velocities(scene.particles.velocity)[:, 2]
     down = speed > 0.0
     needed = (batch.z[down] + scene.domain.layer_bottom - height) / speed[down]
     return float((needed > time).mean()) if down.any() else 0.0, float(needed.max(initial=0.0))
@@ -130,8 +130,7 @@ def _crossing(scene: Scene, plan: BatchPlan) -> dict[str, float]:
     total = sum(float((plan.batches[b].r**3).sum()) * times for b, times in cycles.items())
     for b, times in cycles.items():
         batch = plan.batches[b]
-        velocity = np.broadcast_to(scene.particles.velocity, (batch.count, 3)) if batch.velocity is None else (
-            batch.velocity)
+        velocity = batch.velocities(scene.particles.velocity)
         down = np.maximum(-velocity[:, 2], 1e-12)
         time = (batch.z + domain.layer_bottom - domain.substrate_height) / down
         for axis, start, length in (("x", batch.x, domain.extents[0]), ("y", batch.y, domain.extents[1])):

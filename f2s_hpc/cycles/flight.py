@@ -79,11 +79,10 @@ class Flight:
         A sphere that would start inside material or inside another in flight starts as much higher as frees it; of
         two in the batch that overlap, the later one does. Collective.
         """
-        speeds = np.tile(velocity, (batch.count, 1)) if batch.velocity is None else batch.velocity
         flying = self.at(time)
         placed, raised = self._free_places(state, batch.without_velocity(), flying)
         self.spheres = join([self.spheres, placed])
-        self.velocity = np.concatenate([self.velocity, speeds])
+        self.velocity = np.concatenate([self.velocity, batch.velocities(velocity)])
         self.start = np.concatenate([self.start, np.full(batch.count, time)])
         self.lifted = np.concatenate([self.lifted, raised])
         self.contact = time + waits(self.at(time), self.dx)

@@ -211,7 +211,6 @@ def heat_chunk(mass, temperature, bulk, heating, dt_over_volume, hourglass, q00,
         held = mass[i] * bulk.density * bulk.specific_heat * temperature[i]
         s[RETURNED * W + i] = losses * max(bulk.taylor_quinney * lost, -0.5 * held) if mass[i] > 0.0 else 0.0
         s[VISCOUS * W + i] = s[VISCOUS * W + i] if mass[i] > 0.0 else 0.0
-        s[CLOSING * W + i] = s[CLOSING * W + i] if mass[i] > 0.0 else 0.0
         s[POWER * W + i] = s[POWER * W + i] if mass[i] > 0.0 else 0.0
         s[HEAT * W + i] = (bulk.taylor_quinney * s[POWER * W + i] + viscous * s[VISCOUS * W + i]) + s[RETURNED * W + i]
     for i in range(mass.size):

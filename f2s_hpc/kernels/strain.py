@@ -122,13 +122,13 @@ def _close_chunk(mass, fraction, energy, shock, closing, times, bulk, eos, s):
     """
     for i in range(mass.size):
         rate = s[i] + s[4 * W + i] + s[8 * W + i]
-        x, volume, f = mass[i], s[VOLUME * W + i], fraction[i]
+        x, volume, f, before = mass[i], s[VOLUME * W + i], fraction[i], s[VOLUME_BEFORE * W + i]
         after = closure(x, f, volume, energy[i], eos, bulk.spall_pressure)
-        closed = f * s[VOLUME_BEFORE * W + i] * (times[0] * closing[i] + times[1] * rate)
-        second = volume - s[VOLUME_BEFORE * W + i] - s[VOLUME_BEFORE * W + i] * times[1] * rate
+        closed = f * before * (times[0] * closing[i] + times[1] * rate)
+        second = volume - before - before * times[1] * rate
         s[AFTER * W + i] = after
         s[VISCOUS * W + i] = -shock[i] * (closed + times[2] * after * second)
-        closes = (f < 1.0) & (after >= 1.0)
+        closes = (x > 0.0) & (f < 1.0) & (after >= 1.0)
         stored = 0.5 * (x / unloaded(eos, energy[i]) - volume)
         s[CLOSING * W + i] = pressure(eos, x / volume, energy[i]) * max(-second - stored, 0.0) if closes else 0.0
 

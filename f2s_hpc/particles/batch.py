@@ -67,6 +67,10 @@ class Batch:
         """Return the batch of some of the spheres: a mask, indices or a slice."""
         return Batch(**{name: array[rows].copy() for name, array in self.columns.items()})
 
+    def velocities(self, velocity: Sequence[float]) -> np.ndarray:
+        """Return the velocity of each sphere (count, 3) in m/s: its own, or the scene's ``velocity``."""
+        return np.tile(velocity, (self.count, 1)) if self.velocity is None else self.velocity
+
     def without_velocity(self) -> Batch:
         """Return the batch without velocities of its own."""
         return dataclasses.replace(self, velocity=None)

@@ -85,8 +85,7 @@ class Air:
 
     def launch(self, batch: Batch) -> None:
         """Add a batch, z from the bottom of the layer."""
-        bottom, speed = self.scene.domain.layer_bottom, self.scene.particles.velocity
-        own = np.tile(speed, (batch.count, 1)) if batch.velocity is None else batch.velocity
+        bottom, own = self.scene.domain.layer_bottom, batch.velocities(self.scene.particles.velocity)
         places = np.stack([batch.x, batch.y, batch.z + bottom], axis=1)
         self.places = np.concatenate([self.places, places / self.dx])
         self.velocity = np.concatenate([self.velocity, own / self.dx])
